@@ -4,6 +4,7 @@ use crate::{
     data,
     engine::check_resume,
     nlls::toys::{network, perturb},
+    program::{Run, rowgram_words},
 };
 use rowgram::{
     io::bal,
@@ -11,22 +12,10 @@ use rowgram::{
     problems::bundle::{Bundle, InteriorSharing},
 };
 use serde_json::Value;
-use std::{
-    path::Path,
-    process::{Command, Output},
-};
+use std::path::Path;
 
-fn adjust(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rowgram"))
-        .arg("adjust")
-        .args(arguments)
-        .env("NO_COLOR", "1")
-        .output()
-        .unwrap()
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
+fn adjust(arguments: &[&str]) -> Run {
+    rowgram_words(Path::new("."), &[&["adjust"], arguments].concat())
 }
 
 /// A perturbed block in a file.
@@ -46,8 +35,8 @@ fn json_tells_what_the_adjustment_did() {
     let trace = folder.path().join("trace.csv").to_str().unwrap().to_owned();
     let figure = folder.path().join("figure.svg").to_str().unwrap().to_owned();
     let output = adjust(&[&file, "--json", "-o", &out, "--trace", &trace, "--figure", &figure]);
-    assert!(output.status.success(), "{}", stderr(&output));
-    let stdout = String::from_utf8(output.stdout).unwrap();
+    assert!(output.code == 0, "{}", output.stderr);
+    let stdout = output.stdout;
     assert_eq!(stdout.lines().count(), 1);
     let report: Value = serde_json::from_str(&stdout).unwrap();
     let number = |key: &str| report[key].as_f64().unwrap_or_else(|| panic!("{key}: {report}"));
@@ -69,7 +58,7 @@ fn json_tells_what_the_adjustment_did() {
     assert!(drawing.matches("<circle").count() > 3, "a mark per moment");
     // Adjusting the result again finds nothing more to gain.
     let again = adjust(&[&out, "--json"]);
-    let again: Value = serde_json::from_slice(&again.stdout).unwrap();
+    let again: Value = serde_json::from_str(&again.stdout).unwrap();
     let (first, second) = (number("final_cost"), again["initial_cost"].as_f64().unwrap());
     assert!((first - second).abs() < 1e-9 * first, "{first} {second}");
 }
@@ -79,8 +68,8 @@ fn a_person_reads_a_summary() {
     let folder = tempfile::tempdir().unwrap();
     let file = block(folder.path());
     let output = adjust(&[&file, "--loss", "huber:1", "--method", "dogleg", "--threads", "1"]);
-    assert!(output.status.success(), "{}", stderr(&output));
-    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(output.code == 0, "{}", output.stderr);
+    let text = output.stdout;
     for part in
         ["9 images, 100 points", "stopped because", "tie points", "rmse", "stored: the method"]
     {
@@ -94,7 +83,7 @@ fn every_solver_and_thread_count_gives_the_same_cost() {
     let file = block(folder.path());
     let cost = |more: &[&str]| {
         let output = adjust(&[&[file.as_str(), "--json"], more].concat());
-        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let report: Value = serde_json::from_str(&output.stdout).unwrap();
         report["final_cost"].as_f64().unwrap()
     };
     let schur = cost(&[]);
@@ -104,7 +93,7 @@ fn every_solver_and_thread_count_gives_the_same_cost() {
     }
     let path = |more: &[&str]| {
         let output = adjust(&[&[file.as_str(), "--json"], more].concat());
-        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let report: Value = serde_json::from_str(&output.stdout).unwrap();
         report["batches"][0]["path"].clone()
     };
     assert_eq!(path(&[]), "fused");
@@ -147,13 +136,13 @@ fn bad_input_is_refused_with_code_2_and_leaves_outputs_alone() {
     ];
     for (arguments, part) in cases {
         let output = adjust(arguments);
-        let message = stderr(&output);
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
+        let message = output.stderr;
+        assert_eq!(output.code, 2, "{arguments:?}: {message}");
         assert!(message.contains(part), "{arguments:?}: {message}");
         assert!(output.stdout.is_empty());
     }
     assert_eq!(std::fs::read_to_string(&kept).unwrap(), "mine");
-    assert!(adjust(&[&file, "-o", &kept_name, "--force"]).status.success());
+    assert!(adjust(&[&file, "-o", &kept_name, "--force"]).code == 0);
     assert!(bal::read(&kept).is_ok());
 }
 
@@ -163,14 +152,14 @@ fn a_run_in_two_parts_writes_the_same_file_as_one() {
     let file = block(folder.path());
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (whole, parts, checkpoint) = (path("whole.txt"), path("parts.txt"), path("state"));
-    assert!(adjust(&[&file, "-o", &whole, "--max-iterations", "6"]).status.success());
+    assert!(adjust(&[&file, "-o", &whole, "--max-iterations", "6"]).code == 0);
     let first = adjust(&[&file, "--max-iterations", "3", "--checkpoint", &checkpoint]);
-    assert!(first.status.success(), "{}", stderr(&first));
+    assert!(first.code == 0, "{}", first.stderr);
     let second = adjust(&[&file, "-o", &parts, "--max-iterations", "6", "--resume", &checkpoint]);
-    assert!(second.status.success(), "{}", stderr(&second));
+    assert!(second.code == 0, "{}", second.stderr);
     assert_eq!(std::fs::read(&whole).unwrap(), std::fs::read(&parts).unwrap());
     let other = adjust(&[&file, "--loss", "huber:1", "--resume", &checkpoint]);
-    assert_eq!(other.status.code(), Some(2), "{}", stderr(&other));
+    assert_eq!(other.code, 2, "{}", other.stderr);
 }
 
 #[test]
@@ -189,8 +178,8 @@ fn every_block_of_the_data_runs() {
     let Some(folder) = data::path("ba_bal") else { return };
     for name in ["dubrovnik-1-1-pre.txt", "dubrovnik-3-7-pre.txt", "dubrovnik-3-7-18-pre.txt"] {
         let output = adjust(&[folder.join(name).to_str().unwrap(), "--json"]);
-        assert!(output.status.success(), "{name}: {}", stderr(&output));
-        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert!(output.code == 0, "{name}: {}", output.stderr);
+        let report: Value = serde_json::from_str(&output.stdout).unwrap();
         assert!(report["final_cost"].as_f64() < report["initial_cost"].as_f64(), "{report}");
     }
 }

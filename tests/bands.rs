@@ -1,7 +1,10 @@
 //! Orthomosaics with more bands than three: indices of plots and plants against the reflectances that are known of a synthetic field,
 //! in any order and scale, with frames and alpha; and what cannot be.
 
-use crate::program::rowgram;
+use crate::{
+    maps::{number, table},
+    program::rowgram,
+};
 use rowgram::{
     io::{FileError, geotiff},
     raster::{spectral::Band, window::Window},
@@ -22,21 +25,6 @@ fn run(folder: &Path, name: &str, settings: &str) {
     fs::write(folder.join(name).join("rowgram.toml"), settings).unwrap();
     let done = rowgram(folder, &format!("run {name} -q"));
     assert!(matches!(done.code, 0 | 3), "{}{}", done.stdout, done.stderr);
-}
-
-/// A table by its first column.
-fn table(path: &Path) -> BTreeMap<String, BTreeMap<String, String>> {
-    let mut table = csv::Reader::from_path(path).unwrap();
-    let header = table.headers().unwrap().clone();
-    let row = |record: csv::StringRecord| {
-        let cells = header.iter().zip(&record).map(|(k, v)| (k.to_owned(), v.to_owned()));
-        (record[0].to_owned(), cells.collect())
-    };
-    table.records().map(|record| row(record.unwrap())).collect()
-}
-
-fn number(of: &BTreeMap<String, String>, name: &str) -> f64 {
-    of[name].parse().unwrap_or_else(|_| panic!("{name}: {of:?}"))
 }
 
 /// Measured less true values of a trait of all plots, and the standard deviations.

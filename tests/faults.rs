@@ -49,6 +49,6 @@ fn a_full_disk_is_told_leaves_no_halves_and_with_room_the_run_goes_on_to_the_sam
     let found = results(&field);
     assert!(expected.keys().eq(found.keys()), "{:?} {:?}", expected.keys(), found.keys());
     for (name, bytes) in &expected {
-        assert!(found[name] == *bytes, "{}", name.display());
+        assert!(found[name] == *bytes, "{name}");
     }
 }

@@ -1,6 +1,6 @@
 //! `rowgram leaves`, `leaf-count`, `leaf-density` and `thresholds`, and GeoTIFF in and out, as a user meets them.
 
-use crate::{data, program::rowgram};
+use crate::{data, maps, program::rowgram};
 use image::{GrayImage, Luma, Rgb, RgbImage};
 use rowgram::{
     io::geotiff::{self, Colour, Layout, Reader},
@@ -31,18 +31,8 @@ fn mask_png(folder: &Path) {
 /// The same as a photo in a GeoTIFF of 1 cm pixels.
 fn ortho(path: &Path) {
     let place = Georeference::north_up([500_000.0, 4_475_000.0], 0.01, Crs::projected(32616));
-    let layout = Layout {
-        width: 170,
-        height: 110,
-        colour: Colour::Rgb,
-        georeference: Some(place),
-        nodata: None,
-    };
     let picture = RgbImage::from_fn(170, 110, |u, v| if leaf(u, v) { LEAF } else { SOIL });
-    geotiff::write::<u8, FileError>(path, false, &layout, |writer| {
-        writer.put(Window::whole(170, 110), picture.as_raw())
-    })
-    .unwrap();
+    maps::write(path, &picture, place);
 }
 
 fn rows(path: &Path) -> Vec<Vec<String>> {

@@ -1,16 +1,10 @@
 //! `rowgram locate` as a user meets it.
 
-use std::{
-    path::{Path, PathBuf},
-    process::{Command, Output},
-};
-
-fn rowgram(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rowgram")).args(arguments).output().unwrap()
-}
+use crate::program::rowgram;
+use std::path::Path;
 
 /// A mask of three rows of plants: discs 24 px apart, rows 60 px apart, turned by 10 degrees.
-fn mask(folder: &Path) -> (PathBuf, Vec<[f64; 2]>) {
+fn mask(folder: &Path) -> Vec<[f64; 2]> {
     let (s, c) = 10_f64.to_radians().sin_cos();
     let mut centres = Vec::new();
     for row in 0..3 {
@@ -27,9 +21,8 @@ fn mask(folder: &Path) -> (PathBuf, Vec<[f64; 2]>) {
             }
         }
     }
-    let path = folder.join("mask.png");
-    image.save(&path).unwrap();
-    (path, centres)
+    image.save(folder.join("mask.png")).unwrap();
+    centres
 }
 
 fn read(path: &Path) -> (Vec<String>, Vec<Vec<f64>>) {
@@ -50,21 +43,22 @@ fn farthest(plants: &[Vec<f64>], centres: &[[f64; 2]]) -> f64 {
 #[test]
 fn plants_in_a_mask_are_found_by_every_variant() {
     let folder = tempfile::tempdir().unwrap();
-    let (mask, centres) = mask(folder.path());
-    let out = folder.path().join("plants.csv");
-    let (mask, output) = (mask.to_str().unwrap(), out.to_str().unwrap());
+    let centres = mask(folder.path());
     for prior in ["none", "rows", "grid"] {
         for update in ["mean", "median"] {
             for (form, sigma) in
                 [("joint", "paper"), ("conditional", "planar"), ("joint", "fixed:6")]
             {
-                let run = rowgram(&[
-                    "locate", mask, "--method", "descent", "--plants", "36", "--prior", prior,
-                    "--update", update, "--form", form, "--sigma", sigma, "--init", "rows",
-                    "--force", "-o", output,
-                ]);
-                assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-                let (header, plants) = read(&out);
+                let words =
+                    format!("--prior {prior} --update {update} --form {form} --sigma {sigma}");
+                let run = rowgram(
+                    folder.path(),
+                    &format!(
+                        "locate mask.png --method descent --plants 36 {words} --init rows --force -o plants.csv"
+                    ),
+                );
+                assert!(run.code == 0, "{}", run.stderr);
+                let (header, plants) = read(&folder.path().join("plants.csv"));
                 assert_eq!(header, ["u_px", "v_px", "row"]);
                 assert_eq!(plants.len(), 36);
                 let error = farthest(&plants, &centres);
@@ -78,28 +72,13 @@ fn plants_in_a_mask_are_found_by_every_variant() {
 #[test]
 fn the_summary_trace_overlay_and_metres_are_written() {
     let folder = tempfile::tempdir().unwrap();
-    let (mask, _) = mask(folder.path());
-    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let run = rowgram(&[
-        "locate",
-        mask.to_str().unwrap(),
-        "--plants",
-        "36",
-        "--method",
-        "descent",
-        "--gsd-m",
-        "0.01",
-        "--json",
-        "--quiet",
-        "--trace",
-        &path("trace.csv"),
-        "--figures",
-        &path("figures"),
-        "-o",
-        &path("plants.csv"),
-    ]);
-    assert!(run.status.success() && run.stderr.is_empty());
-    let json: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    mask(folder.path());
+    let run = rowgram(
+        folder.path(),
+        "locate mask.png --plants 36 --method descent --gsd-m 0.01 --json --quiet --trace trace.csv --figures figures -o plants.csv",
+    );
+    assert!(run.code == 0 && run.stderr.is_empty());
+    let json: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     assert_eq!((json["plants"].as_u64(), json["rows"].as_u64()), (Some(36), Some(3)));
     assert!((json["heading_deg"].as_f64().unwrap() - 10.0).abs() < 0.5, "{json}");
     assert!((json["row_spacing_m"].as_f64().unwrap() - 0.6).abs() < 0.01, "{json}");
@@ -109,36 +88,20 @@ fn the_summary_trace_overlay_and_metres_are_written() {
     // Metres to the right and upwards, rounded to a tenth of a millimetre.
     let is_near = |a: f64, b: f64| (a - b).abs() < 1e-4;
     assert!(plants.iter().all(|p| is_near(0.01 * p[0], p[3]) && is_near(-0.01 * p[1], p[4])));
-    assert!(std::fs::read_to_string(path("trace.csv")).unwrap().contains("sigma_px"));
-    assert_eq!(image::open(path("figures/plants.png")).unwrap().width(), 360);
+    assert!(std::fs::read_to_string(folder.path().join("trace.csv")).unwrap().contains("sigma_px"));
+    assert_eq!(image::open(folder.path().join("figures/plants.png")).unwrap().width(), 360);
 }
 
 #[test]
 fn the_result_depends_on_the_seed_alone() {
     let folder = tempfile::tempdir().unwrap();
-    let (mask, _) = mask(folder.path());
+    mask(folder.path());
     let run = |name: &str, seed: &str, threads: &str| {
-        let out = folder.path().join(name);
-        let run = rowgram(&[
-            "locate",
-            mask.to_str().unwrap(),
-            "--plants",
-            "30",
-            "--method",
-            "descent",
-            "--prior",
-            "none",
-            "--seed",
-            seed,
-            "--order",
-            "shuffled",
-            "--threads",
-            threads,
-            "-o",
-            out.to_str().unwrap(),
-        ]);
-        assert!(run.status.success());
-        std::fs::read(out).unwrap()
+        let words = "locate mask.png --plants 30 --method descent --prior none --order shuffled";
+        let run =
+            rowgram(folder.path(), &format!("{words} --seed {seed} --threads {threads} -o {name}"));
+        assert!(run.code == 0);
+        std::fs::read(folder.path().join(name)).unwrap()
     };
     assert_eq!(run("a.csv", "1", "1"), run("b.csv", "1", "4"));
     assert_ne!(run("c.csv", "2", "1"), run("d.csv", "1", "1"));
@@ -147,68 +110,50 @@ fn the_result_depends_on_the_seed_alone() {
 #[test]
 fn bad_input_is_refused_with_code_2_and_a_reason() {
     let folder = tempfile::tempdir().unwrap();
-    let (mask, _) = mask(folder.path());
-    let mask = mask.to_str().unwrap();
-    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    image::GrayImage::new(50, 40).save(path("black.png")).unwrap();
-    image::GrayImage::from_pixel(60, 60, image::Luma([255])).save(path("white.png")).unwrap();
-    std::fs::write(path("text.png"), "no picture").unwrap();
-    std::fs::write(path("there.csv"), "").unwrap();
-    let (black, white, text) = (path("black.png"), path("white.png"), path("text.png"));
-    let (out, there) = (path("out.csv"), path("there.csv"));
-    let cases: &[(&[&str], &str)] = &[
-        (&[mask, "--plants", "0"], "of at least 1"),
-        (&[mask, "--plants", "-3"], "-3"),
-        (&[mask, "--plants", "9999999"], "leaf pixels"),
-        (&[&black, "--plants", "3"], "no leaf pixel"),
-        (&[&text, "--plants", "3"], "text.png"),
-        (&["/nonexistent.png", "--plants", "3"], "/nonexistent.png"),
-        (&[mask, "--plants", "3", "--gsd-m", "0"], "gsd-m"),
-        (&[mask, "--plants", "3", "--gsd-m", "nan"], "gsd-m"),
-        (&[mask, "--plants", "3", "--prior", "columns"], "one of: none, rows, grid"),
-        (&[mask, "--plants", "3", "--sigma", "fixed:-1"], "fixed:PX"),
-        (&[mask, "--plants", "3", "--init", "kmeans"], "kmeans++"),
-        (&[mask, "--plants", "3", "--hsv", "30,79,30"], "hsv"),
-        (&[mask, "--plants", "3", "--hsv", "30,190,30,163"], "180"),
-    ];
-    for (arguments, reason) in cases {
-        let run = rowgram(&[&["locate"], *arguments, &["-o", &out]].concat());
-        let message = String::from_utf8_lossy(&run.stderr);
-        assert_eq!(run.status.code(), Some(2), "{arguments:?}: {message}");
-        assert!(message.contains(reason), "{arguments:?}: {message}");
-        assert!(!Path::new(&out).exists());
+    let at = folder.path();
+    mask(at);
+    image::GrayImage::new(50, 40).save(at.join("black.png")).unwrap();
+    image::GrayImage::from_pixel(60, 60, image::Luma([255])).save(at.join("white.png")).unwrap();
+    std::fs::write(at.join("text.png"), "no picture").unwrap();
+    std::fs::write(at.join("there.csv"), "").unwrap();
+    for (arguments, reason) in [
+        ("mask.png --plants 0", "of at least 1"),
+        ("mask.png --plants -3", "-3"),
+        ("mask.png --plants 9999999", "leaf pixels"),
+        ("black.png --plants 3", "no leaf pixel"),
+        ("text.png --plants 3", "text.png"),
+        ("/nonexistent.png --plants 3", "/nonexistent.png"),
+        ("mask.png --plants 3 --gsd-m 0", "gsd-m"),
+        ("mask.png --plants 3 --gsd-m nan", "gsd-m"),
+        ("mask.png --plants 3 --prior columns", "one of: none, rows, grid"),
+        ("mask.png --plants 3 --sigma fixed:-1", "fixed:PX"),
+        ("mask.png --plants 3 --init kmeans", "kmeans++"),
+        ("mask.png --plants 3 --hsv 30,79,30", "hsv"),
+        ("mask.png --plants 3 --hsv 30,190,30,163", "180"),
+        // Leaf all over is taken for a mask whose values are exchanged.
+        ("white.png --plants 3", "exchanged"),
+        ("mask.png --plants 3 --force -o mask.png", "is an input"),
+        ("mask.png --plants 3 -o there.csv", "--force"),
+    ] {
+        let to = if arguments.contains("-o ") { "" } else { "-o out.csv" };
+        let run = rowgram(at, &format!("locate {arguments} {to}"));
+        assert_eq!(run.code, 2, "{arguments}: {}", run.stderr);
+        assert!(run.stderr.contains(reason), "{arguments}: {}", run.stderr);
+        assert!(!at.join("out.csv").exists());
     }
-    // Leaf all over is taken for a mask whose values are exchanged.
-    let run = rowgram(&["locate", &white, "--plants", "3", "-o", &path("white.csv")]);
-    assert_eq!(run.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&run.stderr).contains("exchanged"));
-    let run = rowgram(&["locate", mask, "--plants", "3", "--force", "-o", mask]);
-    assert_eq!(run.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&run.stderr).contains("is an input"));
-    let run = rowgram(&["locate", mask, "--plants", "3", "-o", &there]);
-    assert_eq!(run.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&run.stderr).contains("--force"));
 }
 
 #[test]
 fn the_plants_of_a_young_field_are_found() {
     let Some(folder) = crate::data::path("field_masks/early20") else { return };
     let out = tempfile::tempdir().unwrap();
-    let plants = out.path().join("plants.csv");
     let (_, truth) = read(&folder.join("1000.csv"));
     let truth: Vec<[f64; 2]> = truth.iter().map(|row| [row[0], row[1]]).collect();
-    let run = rowgram(&[
-        "locate",
-        folder.join("1000.png").to_str().unwrap(),
-        "--plants",
-        &truth.len().to_string(),
-        "--gsd-m",
-        "0.015",
-        "-o",
-        plants.to_str().unwrap(),
-    ]);
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    let (_, found) = read(&plants);
+    let (mask, count) = (folder.join("1000.png"), truth.len());
+    let words = format!("locate {} --plants {count} --gsd-m 0.015 -o plants.csv", mask.display());
+    let run = rowgram(out.path(), &words);
+    assert!(run.code == 0, "{}", run.stderr);
+    let (_, found) = read(&out.path().join("plants.csv"));
     let found: Vec<[f64; 2]> = found.iter().map(|row| [row[0], row[1]]).collect();
     let score = rowgram::score::Score::new(&found, &truth, &[10.0 / 1.5]).unwrap();
     // 141 of 142 plants are found; four more may change sides with the last digits of the scores.
@@ -218,44 +163,19 @@ fn the_plants_of_a_young_field_are_found() {
 #[test]
 fn the_default_counts_and_tells_how_sure_it_is() {
     let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let field = path("field");
-    let grown = rowgram(&[
-        "synth",
-        "mask",
-        "--stage",
-        "early",
-        "--rows",
-        "3",
-        "--row-length",
-        "4",
-        "--gsd",
-        "0.015",
-        "-o",
-        &field,
-    ]);
-    assert!(grown.status.success(), "{}", String::from_utf8_lossy(&grown.stderr));
+    let path = |name: &str| folder.path().join(name);
+    let grown = rowgram(
+        folder.path(),
+        "synth mask --stage early --rows 3 --row-length 4 --gsd 0.015 -o field",
+    );
+    assert!(grown.code == 0, "{}", grown.stderr);
     let (_, truth) = read(&folder.path().join("field/plants.csv"));
-    let mask = format!("{field}/mask.png");
-    let (gaps, rows, figures) = (path("gaps.csv"), path("rows.csv"), path("figures"));
-    let out = path("plants.csv");
-    let run = rowgram(&[
-        "locate",
-        &mask,
-        "--gsd-m",
-        "0.015",
-        "--json",
-        "--gaps",
-        &gaps,
-        "--rows",
-        &rows,
-        "--figures",
-        &figures,
-        "-o",
-        &out,
-    ]);
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    let json: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let run = rowgram(
+        folder.path(),
+        "locate field/mask.png --gsd-m 0.015 --json --gaps gaps.csv --rows rows.csv --figures figures -o plants.csv",
+    );
+    assert!(run.code == 0, "{}", run.stderr);
+    let json: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     let found = json["plants"].as_f64().unwrap();
     assert!((found / truth.len() as f64 - 1.0).abs() < 0.1, "{found} {}", truth.len());
     let interval = |name: &str| [0, 1].map(|end| json[name][end].as_f64().unwrap());
@@ -266,60 +186,54 @@ fn the_default_counts_and_tells_how_sure_it_is() {
     let [low, high] = interval("spacing_interval_m");
     assert!(low < 0.21 && high > 0.19, "{json}");
     assert!(json["plants_per_hectare"].as_f64().unwrap() > 40_000.0, "{json}");
-    let (header, plants) = read(Path::new(&out));
+    let (header, plants) = read(&path("plants.csv"));
     let names =
         ["u_px", "v_px", "row", "x_m", "y_m", "confidence", "sigma_along_px", "sigma_across_px"];
     assert_eq!(header, names);
     assert_eq!(plants.len() as f64, found);
     assert!(plants.iter().all(|plant| (0.0..=1.0).contains(&plant[5]) && plant[6] > 0.0));
-    let (header, counts) = read(Path::new(&rows));
+    let (header, counts) = read(&path("rows.csv"));
     let names = ["row", "plants", "expected", "low", "high", "length_px", "length_m"];
     assert_eq!(header[..7], names);
     assert_eq!(header[7..], ["start_u_px", "start_v_px", "end_u_px", "end_v_px"]);
     assert_eq!(counts.iter().map(|row| row[1]).sum::<f64>(), found);
-    assert!(read(Path::new(&gaps)).0.contains(&"probability".to_owned()));
+    assert!(read(&path("gaps.csv")).0.contains(&"probability".to_owned()));
     assert!(image::open(path("figures/plants.png")).unwrap().width() > 100);
 
     // The named methods run on the same mask, also without being told the number.
     for method in ["refined", "tempered", "paper", "kmeans", "rows"] {
-        let run = rowgram(&["locate", &mask, "--method", method, "--force", "-o", &out]);
-        assert!(run.status.success(), "{method}: {}", String::from_utf8_lossy(&run.stderr));
-        assert_eq!(read(Path::new(&out)).1.len() as f64, found, "{method}");
+        let words = format!("locate field/mask.png --method {method} --force -o plants.csv");
+        let run = rowgram(folder.path(), &words);
+        assert!(run.code == 0, "{method}: {}", run.stderr);
+        assert_eq!(read(&path("plants.csv")).1.len() as f64, found, "{method}");
     }
     // Several starts end no worse, and certificates stand.
-    let of = |extra: &[&str]| {
-        let words = ["locate", &mask, "--method", "tempered", "--json", "--force", "-o", &out];
-        let run = rowgram(&[&words[..], extra].concat());
-        assert!(run.status.success(), "{extra:?}: {}", String::from_utf8_lossy(&run.stderr));
-        serde_json::from_slice::<serde_json::Value>(&run.stdout).unwrap()
+    let of = |extra: &str| {
+        let words = "locate field/mask.png --method tempered --json --force -o plants.csv";
+        let run = rowgram(folder.path(), &format!("{words} {extra}"));
+        assert!(run.code == 0, "{extra}: {}", run.stderr);
+        serde_json::from_str::<serde_json::Value>(&run.stdout).unwrap()
     };
-    let (plain, tried) = (of(&[]), of(&["--init", "kmeans++", "--starts", "2"]));
+    let (plain, tried) = (of(""), of("--init kmeans++ --starts 2"));
     assert!(tried["final_cost"].as_f64().unwrap().is_finite() && plain["certificate"].is_null());
-    let proof = of(&["--certify"])["certificate"].clone();
+    let proof = of("--certify")["certificate"].clone();
     assert!(proof["worst_gap"].as_f64().unwrap() < 0.05, "{proof}");
     assert!(proof["plants"].as_f64().unwrap() > 0.9 * found, "{proof}");
     for (words, reason) in [
-        (["--certify", "--method=row-model"], "certify"),
-        (["--starts=0", "--certify"], "--starts"),
+        ("--certify --method=row-model", "certify"),
+        ("--starts=0 --certify", "--starts"),
+        ("--method row-model --prior rows", "prior"),
+        ("--method paper --gaps gaps.csv", "only the method row-model"),
+        ("--vote-weight many --plants 3", "--vote-weight"),
+        ("--wishes 3 --plants 3", "wishes"),
+        ("--tilt-sigma nan --plants 3", "--tilt-sigma nan"),
+        ("--across-sigma 0 --plants 3", "--across-sigma 0"),
+        ("--plants some --seed 1", "auto"),
+        ("--tempering -1 --plants 3", "--tempering"),
     ] {
-        let run = rowgram(&[&["locate", &mask, "--force", "-o", &out], &words[..]].concat());
-        let message = String::from_utf8_lossy(&run.stderr);
-        assert_eq!(run.status.code(), Some(2), "{words:?}: {message}");
-        assert!(message.contains(reason), "{words:?}: {message}");
-    }
-    for (words, reason) in [
-        (["--method", "row-model", "--prior", "rows"], "prior"),
-        (["--method", "paper", "--gaps", gaps.as_str()], "only the method row-model"),
-        (["--vote-weight", "many", "--plants", "3"], "--vote-weight"),
-        (["--wishes", "3", "--plants", "3"], "wishes"),
-        (["--tilt-sigma", "nan", "--plants", "3"], "--tilt-sigma nan"),
-        (["--across-sigma", "0", "--plants", "3"], "--across-sigma 0"),
-        (["--plants", "some", "--seed", "1"], "auto"),
-        (["--tempering", "-1", "--plants", "3"], "--tempering"),
-    ] {
-        let run = rowgram(&[&["locate", &mask, "--force", "-o", &out], &words[..]].concat());
-        let message = String::from_utf8_lossy(&run.stderr);
-        assert_eq!(run.status.code(), Some(2), "{words:?}: {message}");
-        assert!(message.contains(reason), "{words:?}: {message}");
+        let words = format!("locate field/mask.png --force -o plants.csv {words}");
+        let run = rowgram(folder.path(), &words);
+        assert_eq!(run.code, 2, "{words}: {}", run.stderr);
+        assert!(run.stderr.contains(reason), "{words}: {}", run.stderr);
     }
 }

@@ -69,16 +69,18 @@ pub(crate) fn collection(code: Option<u32>, features: Vec<Value>) -> String {
 pub(crate) fn traits(project: &Path, words: &str) -> BTreeMap<String, BTreeMap<String, String>> {
     let run = rowgram(project, &format!("run . -q {words}"));
     assert!(matches!(run.code, 0 | 3), "{}{}", run.stdout, run.stderr);
-    let mut table = csv::Reader::from_path(project.join("rowgram/plots/traits.csv")).unwrap();
+    table(&project.join("rowgram/plots/traits.csv"))
+}
+
+/// A table by its first column.
+pub(crate) fn table(path: &Path) -> BTreeMap<String, BTreeMap<String, String>> {
+    let mut table = csv::Reader::from_path(path).unwrap();
     let header = table.headers().unwrap().clone();
-    table
-        .records()
-        .map(|record| {
-            let record = record.unwrap();
-            let cells = header.iter().zip(&record).map(|(k, v)| (k.to_owned(), v.to_owned()));
-            (record[0].to_owned(), cells.collect())
-        })
-        .collect()
+    let row = |record: csv::StringRecord| {
+        let cells = header.iter().zip(&record).map(|(k, v)| (k.to_owned(), v.to_owned()));
+        (record[0].to_owned(), cells.collect())
+    };
+    table.records().map(|record| row(record.unwrap())).collect()
 }
 
 pub(crate) fn number(of: &BTreeMap<String, String>, name: &str) -> f64 {
@@ -484,12 +486,11 @@ fn closed_rows_have_cover_and_gaps_in_place_of_plants() {
         done.stdout
     );
     assert!(done.stderr.contains("nothing tells plants apart"), "{}", done.stderr);
-    let mut table = csv::Reader::from_path(project.join("rowgram/plots/traits.csv")).unwrap();
-    let header = table.headers().unwrap().clone();
-    let field = table.records().next().unwrap().unwrap();
-    let of = |name: &str| &field[header.iter().position(|column| column == name).unwrap()];
-    assert_eq!([of("plants"), of("missing_plants"), of("plant_spacing_m")], [""; 3]);
-    let [cover, gaps] = ["row_cover", "row_gap_share"].map(|name| of(name).parse::<f64>().unwrap());
+    let field = &table(&project.join("rowgram/plots/traits.csv"))["field"];
+    assert!(
+        ["plants", "missing_plants", "plant_spacing_m"].iter().all(|&name| field[name].is_empty())
+    );
+    let [cover, gaps] = ["row_cover", "row_gap_share"].map(|name| number(field, name));
     // Half of the rows lack a sixth.
     assert!(
         (cover - 11.0 / 12.0).abs() < 0.01 && (gaps - 1.0 / 12.0).abs() < 0.01,
@@ -522,12 +523,8 @@ fn plots_have_their_cover_without_weeds_between_rows() {
     fs::write(project.join("rowgram.toml"), "[project]\northo = \"map.tif\"\n").unwrap();
     let done = rowgram(dir.path(), "run field");
     assert_eq!(done.code, 0, "{}{}", done.stdout, done.stderr);
-    let mut table = csv::Reader::from_path(project.join("rowgram/plots/traits.csv")).unwrap();
-    let header = table.headers().unwrap().clone();
-    let field = table.records().next().unwrap().unwrap();
-    let of = |name: &str| -> f64 {
-        field[header.iter().position(|column| column == name).unwrap()].parse().unwrap()
-    };
+    let field = &table(&project.join("rowgram/plots/traits.csv"))["field"];
+    let of = |name: &str| number(field, name);
     assert_eq!((of("plants"), of("weeds")), (290.0, 30.0));
     let share = |discs: u32| f64::from(discs * disc_px) / (900.0 * 620.0);
     for (name, discs) in [("canopy_cover", 320), ("crop_cover", 290)] {

@@ -149,11 +149,7 @@ fn seeds(at: &Path) {
         georeference: Some(place),
         nodata: None,
     };
-    let size = (picture.width() as usize, picture.height() as usize);
-    geotiff::write(&at.join("picture.tif"), false, &layout(geotiff::Colour::Rgb, size), |writer| {
-        writer.put(Window::whole(size.0, size.1), picture.as_raw())
-    })
-    .unwrap();
+    crate::maps::write(&at.join("picture.tif"), &picture, place);
     let mask = images::read_mask(&at.join("mask.png")).unwrap();
     let values: Vec<u8> = mask.data.iter().map(|&leaf| 255 * leaf).collect();
     geotiff::write(

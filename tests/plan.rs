@@ -13,12 +13,7 @@ use rowgram::{
     },
 };
 use serde_json::Value;
-use std::{
-    collections::BTreeMap,
-    fs,
-    path::{Path, PathBuf},
-    process::Command,
-};
+use std::{collections::BTreeMap, fs, path::Path, process::Command};
 
 /// Does the tasks of a plan one by one, each only once what it needs is there.
 fn do_tasks(workflow: &Path) {
@@ -151,7 +146,7 @@ fn a_season_in_parts_gives_what_a_season_gives() {
 }
 
 /// The same by Snakemake; says so where there is none.
-fn by_snakemake(folder: &Path, project: &Path, expected: &BTreeMap<PathBuf, Vec<u8>>) {
+fn by_snakemake(folder: &Path, project: &Path, expected: &BTreeMap<String, Vec<u8>>) {
     if Command::new("snakemake").arg("--version").output().is_err() {
         crate::data::tool_is_missing("Snakemake");
         return;

@@ -1,12 +1,13 @@
 //! Plot layouts on synthetic fields, whose plots are known.
 
+use crate::maps;
 use data_synth::field::{Field, FieldConfig};
 use rand_chacha::{
     ChaCha8Rng,
     rand_core::{Rng, SeedableRng},
 };
 use rowgram::{
-    io::{FileError, csv_table::CsvTable, geotiff, polygons},
+    io::{csv_table::CsvTable, polygons},
     monitor::{Recorder, Silent},
     options::{Choice, Options},
     phenotype::layout::{
@@ -29,10 +30,7 @@ use rowgram::{
         Placement,
         corners::{self, Corner, CornerSigmas},
     },
-    raster::{
-        georeference::{Crs, Georeference},
-        window::Window,
-    },
+    raster::georeference::{Crs, Georeference},
 };
 use std::path::{Path, PathBuf};
 
@@ -413,6 +411,35 @@ fn rows_of_another_layout_are_refused() {
     assert!(error.contains("pieces of rows"), "{error}");
 }
 
+#[test]
+fn a_system_without_a_code_places_corners_in_degrees() {
+    let folder = tempfile::tempdir().unwrap();
+    let corners = folder.path().join("corners.csv");
+    let table = "corner,longitude,latitude\nfirst,-87.0,40.4\nalong,-87.0,40.4001\n";
+    std::fs::write(&corners, table).unwrap();
+    let design = "ranges = 1\nplots_per_range = 2\nrows_per_plot = 2\nrow_spacing_m = 0.76\nplot_length_m = 11.1\n";
+    let options = LayoutOptions::default().with(&design.parse().unwrap()).unwrap();
+    let plots = |words: &str, name: &str| {
+        let output = folder.path().join(name);
+        let request = LayoutRequest {
+            source: LayoutSource::Corners(&corners),
+            field_map: None,
+            crs: Some(words),
+            project: None,
+            output: &output,
+            force: false,
+        };
+        let outcome = layout(&request, &options, &mut Silent).unwrap();
+        let drawn = std::fs::read(output.join("plots.geojson")).unwrap();
+        let drawn: serde_json::Value = serde_json::from_slice(&drawn).unwrap();
+        (outcome.epsg, drawn["features"].clone())
+    };
+    let (code, by_code) = plots("EPSG:32616", "code");
+    let (none, by_definition) = plots("+proj=utm +zone=16 +datum=WGS84 +units=m", "definition");
+    assert_eq!((code, none), (Some(32616), None));
+    assert_eq!(by_code, by_definition);
+}
+
 /// The truth of the plots: name, and corners first row's start and end, last row's end and start.
 fn true_plots(path: &Path) -> Vec<(String, [[f64; 2]; 4])> {
     let table = CsvTable::read(path).unwrap();
@@ -443,20 +470,9 @@ fn project_of_picture(folder: &Path) -> PathBuf {
         origin: [world[4], world[5]],
         crs: Crs::projected(code),
     };
-    let layout = geotiff::Layout {
-        width: picture.width() as usize,
-        height: picture.height() as usize,
-        colour: geotiff::Colour::Rgb,
-        georeference: Some(place),
-        nodata: None,
-    };
     let root = folder.join("field");
     std::fs::create_dir(&root).unwrap();
-    let whole = Window::whole(layout.width, layout.height);
-    geotiff::write::<u8, FileError>(&root.join("field.tif"), false, &layout, |writer| {
-        writer.put(whole, picture.as_raw())
-    })
-    .unwrap();
+    maps::write(&root.join("field.tif"), &picture, place);
     root
 }
 

@@ -1,5 +1,6 @@
 //! One scale of colours over the dates of a season: maps of the twin from straight above under different light, without and with panels.
 
+use crate::maps;
 use data_synth::{
     camera::CameraConfig,
     panels::PanelConfig,
@@ -7,13 +8,9 @@ use data_synth::{
     season_plan::{SeasonConfig, SeasonPreset},
 };
 use rowgram::{
-    io::geotiff::{self, Colour, Layout},
     monitor::{Collector, Silent},
     pipeline::season::{self, ColourSource, SeasonFile, SeasonOutcome},
-    raster::{
-        georeference::{Crs, Georeference},
-        window::Window,
-    },
+    raster::georeference::{Crs, Georeference},
 };
 use serde_json::json;
 use std::{fs, path::Path};
@@ -51,19 +48,8 @@ fn write(root: &Path) -> Vec<[f64; 3]> {
         let date = config.date(k);
         let folder = root.join(&date);
         fs::create_dir(&folder).unwrap();
-        let side = SIDE_PX as usize;
         let place = Georeference::north_up([e, n], GSD_M, Crs::projected(epsg));
-        let layout = Layout {
-            width: side,
-            height: side,
-            colour: Colour::Rgb,
-            georeference: Some(place),
-            nodata: None,
-        };
-        geotiff::write(&folder.join("ortho.tif"), false, &layout, |writer| {
-            writer.put(Window::whole(side, side), photo.image.as_raw())
-        })
-        .unwrap();
+        maps::write(&folder.join("ortho.tif"), &photo.image, place);
         list += &format!("[[flights]]\nproject = \"{date}\"\ndate = \"{date}\"\nframe = \"own\"\n");
         if k > 0 {
             continue;
@@ -81,11 +67,7 @@ fn write(root: &Path) -> Vec<[f64; 3]> {
                 "geometry": {"type": "Polygon", "coordinates": [ring]},
             })
         };
-        let collection = |features: Vec<serde_json::Value>| {
-            let name = format!("urn:ogc:def:crs:EPSG::{epsg}");
-            let crs = json!({"type": "name", "properties": {"name": name}});
-            json!({"type": "FeatureCollection", "crs": crs, "features": features}).to_string()
-        };
+        let collection = |features| maps::collection(Some(epsg), features);
         let panels = &twin.field().panels;
         let ring = |k: usize| panels[k].shrunk(0.7).map(|[x, y, _]| [x, y]).to_vec();
         let panel = |k: usize| feature(panels[k].name, ring(k), panels[k].reflectance);

@@ -1,34 +1,18 @@
 //! `rowgram synth` as a person or a script calls it.
 
+use crate::program::{Run, rowgram};
 use data_synth::block::{Block, BlockConfig, write_bal};
 use rowgram::{camera, geometry::rotation, io::bal};
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path};
 
-fn synth(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rowgram"))
-        .arg("synth")
-        .args(arguments)
-        .env("NO_COLOR", "1")
-        .output()
-        .unwrap()
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
+fn synth(words: &str) -> Run {
+    rowgram(Path::new("."), &format!("synth {words}"))
 }
 
 /// Refused as bad input, with a message that has all of `words` in it.
-fn assert_refused(output: &Output, words: &[&str]) {
-    let message = stderr(output);
-    assert_eq!(output.status.code(), Some(2), "{message}");
+fn assert_refused(output: &Run, words: &[&str]) {
+    let message = &output.stderr;
+    assert_eq!(output.code, 2, "{message}");
     for word in words {
         assert!(message.contains(word), "{word:?} is not in {message:?}");
     }
@@ -44,32 +28,12 @@ fn contents(folder: &Path) -> Vec<Vec<u8>> {
 fn mask_picture_and_truth_belong_together() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("new/field");
-    let output = synth(&[
-        "mask",
-        "--stage",
-        "early",
-        "--rows",
-        "3",
-        "--row-length",
-        "2",
-        "--spacing",
-        "0.2",
-        "--inter-row",
-        "0.6",
-        "--jitter",
-        "0.1",
-        "--missing",
-        "0",
-        "--doubles",
-        "0",
-        "--gsd",
-        "0.01",
-        "--seed",
-        "7",
-        "-o",
-        text(&out),
-    ]);
-    assert!(output.status.success(), "{}", stderr(&output));
+    let words = "--spacing 0.2 --inter-row 0.6 --jitter 0.1 --missing 0 --doubles 0 --gsd 0.01";
+    let output = synth(&format!(
+        "mask --stage early --rows 3 --row-length 2 {words} --seed 7 -o {}",
+        out.display()
+    ));
+    assert!(output.code == 0, "{}", output.stderr);
     assert!(output.stdout.is_empty());
     let mask = image::open(out.join("mask.png")).unwrap();
     assert_eq!(mask.color(), image::ColorType::L8);
@@ -97,17 +61,18 @@ fn mask_picture_and_truth_belong_together() {
 fn the_written_configuration_makes_the_same_files_for_any_number_of_threads() {
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
-    let output = synth(&["mask", "--preset", "mid20_dirty", "--seed", "5", "-o", text(&first)]);
-    assert!(output.status.success(), "{}", stderr(&output));
+    let output = synth(&format!("mask --preset mid20_dirty --seed 5 -o {}", first.display()));
+    assert!(output.code == 0, "{}", output.stderr);
     let config = first.join("field.toml");
-    let output = synth(&["mask", "--config", text(&config), "--threads", "1", "-o", text(&second)]);
-    assert!(output.status.success(), "{}", stderr(&output));
+    let output =
+        synth(&format!("mask --config {} --threads 1 -o {}", config.display(), second.display()));
+    assert!(output.code == 0, "{}", output.stderr);
     assert!(contents(&first) == contents(&second));
 
     let third = folder.path().join("third");
     let output =
-        synth(&["mask", "--config", text(&config), "--spacing", "0.3", "-o", text(&third)]);
-    assert!(output.status.success(), "{}", stderr(&output));
+        synth(&format!("mask --config {} --spacing 0.3 -o {}", config.display(), third.display()));
+    assert!(output.code == 0, "{}", output.stderr);
     let resolved = fs::read_to_string(third.join("field.toml")).unwrap();
     assert!(resolved.contains("spacing_m = 0.3\n"), "options come before the file: {resolved}");
     assert!(resolved.contains("weeds_per_m2 = 2.0\n"), "{resolved}");
@@ -118,12 +83,12 @@ fn what_exists_is_refused_before_any_work_and_replaced_by_force() {
     let folder = tempfile::tempdir().unwrap();
     let taken = folder.path().join("plants.csv");
     fs::write(&taken, "mine").unwrap();
-    let arguments = ["mask", "--rows", "1", "--row-length", "1", "-o", text(folder.path())];
+    let arguments = format!("mask --rows 1 --row-length 1 -o {}", folder.path().display());
     assert_refused(&synth(&arguments), &["plants.csv", "--force"]);
     assert_eq!(fs::read(&taken).unwrap(), b"mine");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing else was written");
-    let output = synth(&[&arguments[..], &["--force"]].concat());
-    assert!(output.status.success(), "{}", stderr(&output));
+    let output = synth(&format!("{arguments} --force"));
+    assert!(output.code == 0, "{}", output.stderr);
     assert!(contents(folder.path())[2].starts_with(b"u_px,v_px,row,x_m,y_m\n"));
 }
 
@@ -143,7 +108,7 @@ fn bad_parameters_are_named_and_leave_nothing_behind() {
         ("--preset", "mid21", ["--preset", "mid20_gaps"]),
         ("--seed", "18446744073709551615", ["seed", "9223372036854775807"]),
     ] {
-        assert_refused(&synth(&["mask", option, value, "-o", text(&out)]), &words);
+        assert_refused(&synth(&format!("mask {option} {value} -o {}", out.display())), &words);
         assert!(!out.exists());
     }
 }
@@ -162,12 +127,12 @@ fn bad_configurations_are_refused_by_name_and_line() {
         ("[corruption]\nfalse_fraction = 2.0\n", ["false_fraction", "0 to 1"]),
     ] {
         fs::write(&config, content).unwrap();
-        let output = synth(&["mask", "--config", text(&config), "-o", text(&out)]);
+        let output = synth(&format!("mask --config {} -o {}", config.display(), out.display()));
         assert_refused(&output, &words);
         assert!(!out.exists());
     }
     let missing = folder.path().join("none.toml");
-    let output = synth(&["mask", "--config", text(&missing), "-o", text(&out)]);
+    let output = synth(&format!("mask --config {} -o {}", missing.display(), out.display()));
     assert_refused(&output, &["none.toml"]);
 }
 
@@ -175,23 +140,13 @@ fn bad_configurations_are_refused_by_name_and_line() {
 fn bundle_writes_a_block_and_its_truth() {
     let folder = tempfile::tempdir().unwrap();
     let (start, truth) = (folder.path().join("block.txt"), folder.path().join("truth.txt"));
-    let arguments = [
-        "bundle",
-        "--images",
-        "12",
-        "--strips",
-        "3",
-        "--points",
-        "200",
-        "--sigma-px",
-        "0",
-        "-o",
-        text(&start),
-        "--truth",
-        text(&truth),
-    ];
+    let arguments = format!(
+        "bundle --images 12 --strips 3 --points 200 --sigma-px 0 -o {} --truth {}",
+        start.display(),
+        truth.display()
+    );
     let output = synth(&arguments);
-    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(output.code == 0, "{}", output.stderr);
     let (start, truth) = (fs::read_to_string(&start).unwrap(), fs::read_to_string(&truth).unwrap());
     let header: Vec<usize> =
         start.lines().next().unwrap().split(' ').map(|word| word.parse().unwrap()).collect();
@@ -203,7 +158,7 @@ fn bundle_writes_a_block_and_its_truth() {
     assert_ne!(start, truth);
 
     assert_refused(&synth(&arguments), &["block.txt", "--force"]);
-    assert!(synth(&[&arguments[..], &["--force"]].concat()).status.success());
+    assert!(synth(&format!("{arguments} --force")).code == 0);
 }
 
 /// The generator's camera and the estimator's were written apart from each other; they agree.
@@ -239,9 +194,12 @@ fn bundle_names_bad_parameters() {
         ("--sigma-px", "nan", "sigma_px"),
         ("--outliers", "2", "outlier_fraction"),
     ] {
-        assert_refused(&synth(&["bundle", option, value, "-o", text(&out)]), &[word, "expected"]);
+        assert_refused(
+            &synth(&format!("bundle {option} {value} -o {}", out.display())),
+            &[word, "expected"],
+        );
         assert!(!out.exists());
     }
-    let twice = ["bundle", "-o", text(&out), "--truth", text(&out)];
+    let twice = format!("bundle -o {0} --truth {0}", out.display());
     assert_refused(&synth(&twice), &["--truth"]);
 }

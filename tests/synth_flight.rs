@@ -1,5 +1,6 @@
 //! `rowgram synth flight` as a person or a script calls it, and the twin's camera against the estimators'.
 
+use crate::program::{Run, contents, rowgram};
 use data_synth::{
     camera::{Camera, CameraConfig},
     twin::{FlightPreset, TwinConfig},
@@ -14,25 +15,16 @@ use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
-    process::{Command, Output},
 };
 
-fn rowgram(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rowgram"))
-        .args(arguments)
-        .env("NO_COLOR", "1")
-        .output()
-        .unwrap()
+fn run(words: &str) -> Run {
+    rowgram(Path::new("."), words)
 }
 
-fn succeed(arguments: &[&str]) -> Output {
-    let output = rowgram(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+fn succeed(words: &str) -> Run {
+    let output = run(words);
+    assert!(output.code == 0, "{words}: {}", output.stderr);
     output
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
 }
 
 /// A configuration of few tiny photos, written into `folder`.
@@ -50,24 +42,6 @@ fn tiny(folder: &Path) -> PathBuf {
     let path = folder.join("tiny.toml");
     fs::write(&path, toml::to_string(&config).unwrap()).unwrap();
     path
-}
-
-/// Every file below a folder with its bytes.
-fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(next) = folders.pop() {
-        for entry in fs::read_dir(next).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                let name = path.strip_prefix(folder).unwrap().to_str().unwrap().to_owned();
-                found.insert(name, fs::read(path).unwrap());
-            }
-        }
-    }
-    found
 }
 
 const ALWAYS: [&str; 21] = [
@@ -99,15 +73,11 @@ fn a_project_folder_is_complete_and_the_same_for_any_number_of_threads() {
     let folder = tempfile::tempdir().unwrap();
     let config = tiny(folder.path());
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
-    let output = succeed(&[
-        "synth",
-        "flight",
-        "--config",
-        text(&config),
-        "--photo-truth",
-        "-o",
-        text(&first),
-    ]);
+    let output = succeed(&format!(
+        "synth flight --config {} --photo-truth -o {}",
+        config.display(),
+        first.display()
+    ));
     assert!(output.stdout.is_empty());
     let found = contents(&first);
     let mut expected: Vec<String> = ALWAYS.map(str::to_owned).to_vec();
@@ -128,34 +98,23 @@ fn a_project_folder_is_complete_and_the_same_for_any_number_of_threads() {
 
     // From the resolved configuration, with another number of threads.
     let resolved = first.join("field.toml");
-    succeed(&[
-        "synth",
-        "flight",
-        "--config",
-        text(&resolved),
-        "--photo-truth",
-        "--threads",
-        "1",
-        "-o",
-        text(&second),
-    ]);
+    succeed(&format!(
+        "synth flight --config {} --photo-truth --threads 1 -o {}",
+        resolved.display(),
+        second.display()
+    ));
     assert!(found == contents(&second));
 
-    let taken = rowgram(&["synth", "flight", "--config", text(&resolved), "-o", text(&first)]);
-    assert_eq!(taken.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&taken.stderr).contains("--force"));
+    let taken =
+        run(&format!("synth flight --config {} -o {}", resolved.display(), first.display()));
+    assert_eq!(taken.code, 2);
+    assert!(taken.stderr.contains("--force"));
     let bare = folder.path().join("bare");
-    succeed(&[
-        "synth",
-        "flight",
-        "--config",
-        text(&resolved),
-        "--tie-points",
-        "0",
-        "--no-photos",
-        "-o",
-        text(&bare),
-    ]);
+    succeed(&format!(
+        "synth flight --config {} --tie-points 0 --no-photos -o {}",
+        resolved.display(),
+        bare.display()
+    ));
     assert_eq!(contents(&bare).keys().map(String::as_str).collect::<Vec<_>>(), ALWAYS);
 }
 
@@ -164,15 +123,20 @@ fn the_truth_is_judged_perfect() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("field");
     let config = tiny(folder.path());
-    succeed(&["synth", "flight", "--config", text(&config), "--no-photos", "-o", text(&out)]);
+    succeed(&format!(
+        "synth flight --config {} --no-photos -o {}",
+        config.display(),
+        out.display()
+    ));
     let truth = out.join("truth/plants.csv");
-    let output = succeed(&["evaluate", text(&truth), text(&truth), "--radius", "3", "--json"]);
-    let score: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let output =
+        succeed(&format!("evaluate {} {} --radius 3 --json", truth.display(), truth.display()));
+    let score: serde_json::Value = serde_json::from_str(&output.stdout).unwrap();
     assert!(score.to_string().contains("\"f1\":1.0"), "{score}");
     // And the thresholds for which the picture from above was made find the mask.
     let mask = folder.path().join("mask.png");
     let picture = out.join("truth/picture.png");
-    succeed(&["segment", text(&picture), "--hsv", "30,79,30,163", "-o", text(&mask)]);
+    succeed(&format!("segment {} --hsv 30,79,30,163 -o {}", picture.display(), mask.display()));
     let (found, truth) = (
         image::open(&mask).unwrap().into_luma8(),
         image::open(out.join("truth/mask.png")).unwrap().into_luma8(),
@@ -210,7 +174,11 @@ fn the_truth_files_close_the_loop() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("field");
     let config = tiny(folder.path());
-    succeed(&["synth", "flight", "--config", text(&config), "--no-photos", "-o", text(&out)]);
+    succeed(&format!(
+        "synth flight --config {} --no-photos -o {}",
+        config.display(),
+        out.display()
+    ));
     let table = |name: &str| -> Vec<BTreeMap<String, String>> {
         let mut reader = csv::Reader::from_path(out.join("truth").join(name)).unwrap();
         reader.deserialize().map(|row| row.unwrap()).collect()
@@ -249,8 +217,11 @@ fn a_gimbal_and_a_receiver_with_corrections_are_in_the_photos_as_they_truly_are(
     let folder = tempfile::tempdir().unwrap();
     let config = tiny(folder.path());
     let out = folder.path().join("out");
-    let options = ["--gimbal", "0", "--mount-tilt", "5", "--rtk", "0.02", "-o", text(&out)];
-    succeed(&[&["synth", "flight", "--config", text(&config)], options.as_slice()].concat());
+    succeed(&format!(
+        "synth flight --config {} --gimbal 0 --mount-tilt 5 --rtk 0.02 -o {}",
+        config.display(),
+        out.display()
+    ));
     let truth = fs::read_to_string(out.join("truth/exterior_orientation.csv")).unwrap();
     for row in truth.lines().skip(1) {
         let cells: Vec<&str> = row.split(',').collect();
@@ -271,8 +242,8 @@ fn a_gimbal_and_a_receiver_with_corrections_are_in_the_photos_as_they_truly_are(
         }
         assert_eq!(found.geotag.unwrap().sigma_m, Some([0.02; 3]));
     }
-    let refused = rowgram(&["synth", "flight", "--mount-tilt", "9", "-o", text(&out), "--force"]);
-    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    let refused = run(&format!("synth flight --mount-tilt 9 -o {} --force", out.display()));
+    let message = refused.stderr;
     assert!(message.contains("flight.mount_tilt_deg"), "{message}");
 }
 
@@ -287,9 +258,9 @@ fn bad_configurations_are_refused_by_name() {
     ] {
         fs::write(&path, wrong).unwrap();
         let out = folder.path().join("out");
-        let output = rowgram(&["synth", "flight", "--config", text(&path), "-o", text(&out)]);
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert_eq!(output.status.code(), Some(2), "{message}");
+        let output = run(&format!("synth flight --config {} -o {}", path.display(), out.display()));
+        let message = output.stderr;
+        assert_eq!(output.code, 2, "{message}");
         assert!(words.iter().all(|word| message.contains(word)), "{message}");
         assert!(!out.exists());
     }

@@ -4,8 +4,7 @@ use super::{options::Given, print, print_json, stage::Target};
 use rowgram_base::error::Error;
 use rowgram_project::{
     Stage,
-    evaluate::{EvaluateOptions, EvaluateOutcome, evaluate},
-    evaluate_positions::evaluate_positions,
+    evaluate::{EvaluateOptions, EvaluateOutcome, evaluate, evaluate_positions},
 };
 use std::path::PathBuf;
 

@@ -1,7 +1,7 @@
 //! `rowgram leaves count`: leaves from the area that they cover.
 
 use super::{
-    options::{Given, HsvArgument},
+    options::{Given, HsvOptions},
     stage::{Target, check_paths, given},
 };
 use rowgram_base::error::Error;
@@ -32,7 +32,7 @@ pub(super) struct Args {
     #[command(flatten)]
     options: Given<LeafCountOptions>,
     #[command(flatten)]
-    hsv: HsvArgument,
+    hsv: Given<HsvOptions>,
     /// Of a single file: regions with counted leaves (GeoJSON, GeoPackage or shapefile; polygons with the property "leaves").
     #[arg(long, value_name = "FILE")]
     regions: Option<PathBuf>,
@@ -63,7 +63,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         target.refuse_of_files(&[
             ("--regions", regions.is_some()),
             ("--plots", plots.is_some()),
-            ("--hsv", hsv.is_given()),
+            ("--hsv", hsv.has("hsv")),
         ])?;
         return target.perform(
             (Stage::LeafCount, leaf_count),
@@ -78,7 +78,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let output = target.file()?;
     let inputs = given([Some(target.input()), regions.as_deref(), plots.as_deref()]);
     check_paths(&[output], &inputs, target.force)?;
-    let (options, hsv) = (options.over_defaults()?, hsv.value()?);
+    let (options, hsv) = (options.over_defaults()?, hsv.over_defaults()?.hsv);
     let areas = Areas { regions: regions.clone(), plots: plots.clone(), plot_key: None };
     let subject = target.input().display().to_string();
     target.present(

@@ -1,7 +1,7 @@
 //! `rowgram leaves density`: how many leaf pixels lie around each pixel.
 
 use super::{
-    options::{Given, HsvArgument},
+    options::{Given, HsvOptions},
     stage::{Target, check_files},
 };
 use rowgram_base::error::Error;
@@ -31,7 +31,7 @@ pub(super) struct Args {
     #[command(flatten)]
     options: Given<LeafDensityOptions>,
     #[command(flatten)]
-    hsv: HsvArgument,
+    hsv: Given<HsvOptions>,
     /// Of a single file: draw the density, density.png, into this folder: dark blue (none) to yellow (the most there is).
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
@@ -53,7 +53,7 @@ fn text(outcome: &LeafDensityOutcome) -> String {
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let Args { target, options, hsv, figures } = args;
     if target.is_project() {
-        target.refuse_of_files(&[("--figures", figures.is_some()), ("--hsv", hsv.is_given())])?;
+        target.refuse_of_files(&[("--figures", figures.is_some()), ("--hsv", hsv.has("hsv"))])?;
         return target.perform(
             (Stage::LeafDensity, leaf_density),
             options,
@@ -65,7 +65,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     output::expect_ending(density, &["tif", "tiff"])?;
     let picture = figures.as_deref().map(|folder| (folder, "density.png"));
     check_files(&[density], picture, &[target.input()], target.force)?;
-    let (options, hsv) = (options.over_defaults()?, hsv.value()?);
+    let (options, hsv) = (options.over_defaults()?, hsv.over_defaults()?.hsv);
     let files = LeafDensityFiles { density, figures: figures.as_deref(), force: target.force };
     target.present(
         |monitor| {

@@ -2,7 +2,7 @@
 
 use super::{
     leaf_count, leaf_density,
-    options::{Given, HsvArgument},
+    options::{Given, HsvOptions},
     stage::{Target, check_files, given},
 };
 use rowgram_base::error::Error;
@@ -42,7 +42,7 @@ pub(super) struct Args {
     #[command(flatten)]
     options: Given<LeavesOptions>,
     #[command(flatten)]
-    hsv: HsvArgument,
+    hsv: Given<HsvOptions>,
     /// Of a single file: write one label per leaf, 0 elsewhere, as a GeoTIFF.
     #[arg(long, value_name = "TIF")]
     labels: Option<PathBuf>,
@@ -89,7 +89,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
             ("--labels", labels.is_some()),
             ("--plants", plants.is_some()),
             ("--figures", figures.is_some()),
-            ("--hsv", hsv.is_given()),
+            ("--hsv", hsv.has("hsv")),
         ])?;
         return target.perform(
             (Stage::Leaves, leaves::leaves),
@@ -105,7 +105,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     }
     let outputs = given([Some(table), labels.as_deref(), per_plant.as_deref()]);
     let inputs = given([Some(target.input()), plants.as_deref()]);
-    let (options, hsv) = (options.over_defaults()?, hsv.value()?);
+    let (options, hsv) = (options.over_defaults()?, hsv.over_defaults()?.hsv);
     let picture = figures.as_deref().map(|folder| (folder, "leaves.png"));
     check_files(&outputs, picture, &inputs, target.force)?;
     let files = LeavesFiles {

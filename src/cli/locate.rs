@@ -1,7 +1,7 @@
 //! `rowgram locate`: the place of every plant in a project, photo or leaf mask.
 
 use super::{
-    options::{Given, HsvArgument},
+    options::{Given, HsvOptions},
     stage::{Target, check_files, given},
 };
 use rowgram_base::error::Error;
@@ -32,7 +32,7 @@ pub(super) struct Args {
     #[command(flatten)]
     options: Given<LocateOptions>,
     #[command(flatten)]
-    hsv: HsvArgument,
+    hsv: Given<HsvOptions>,
     /// Of a single file: write where plants are missing (CSV; method row-model).
     #[arg(long, value_name = "CSV")]
     gaps: Option<PathBuf>,
@@ -102,14 +102,14 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
             ("--weeds", weeds.is_some()),
             ("--trace", trace.is_some()),
             ("--figures", figures.is_some()),
-            ("--hsv", hsv.is_given()),
+            ("--hsv", hsv.has("hsv")),
         ])?;
         return target.perform((Stage::Locate, locate), options, |config| &config.locate, text);
     }
     let plants = target.file()?;
     let tables = [gaps, rows, weeds, trace].map(Option::as_deref);
     let outputs = given([Some(plants)].into_iter().chain(tables));
-    let (options, hsv) = (options.over_defaults()?, hsv.value()?);
+    let (options, hsv) = (options.over_defaults()?, hsv.over_defaults()?.hsv);
     let picture = figures.as_deref().map(|folder| (folder, "plants.png"));
     check_files(&outputs, picture, &[target.input()], target.force)?;
     let files = LocateFiles {

@@ -5,7 +5,7 @@ use rowgram_base::{
     error::Error,
     options::{Auto, Field, Kind, Options},
 };
-use rowgram_project::{Config, segment::SegmentOptions};
+use rowgram_project::Config;
 use rowgram_raster::mask::Thresholds;
 use std::marker::PhantomData;
 
@@ -135,53 +135,13 @@ impl<T: Options> clap::FromArgMatches for Given<T> {
     }
 }
 
-/// The option `hsv` of `segment`, for the commands that make the leaf mask of a photo themselves.
-#[derive(Debug, Clone)]
-pub(super) struct HsvArgument(Given<SegmentOptions>);
-
-/// Its name.
-const HSV: &str = "hsv";
-
-impl HsvArgument {
-    /// Whether it was given.
-    pub(super) fn is_given(&self) -> bool {
-        self.0.has(HSV)
-    }
-
-    /// The thresholds.
-    ///
-    /// # Errors
-    /// Thresholds that cannot be.
-    pub(super) fn value(&self) -> Result<Auto<Thresholds>, Error> {
-        Ok(self.0.over_defaults()?.hsv)
-    }
-}
-
-impl clap::Args for HsvArgument {
-    fn augment_args(command: Command) -> Command {
-        let fields = SegmentOptions::fields();
-        let hsv = fields.iter().filter(|field| field.name == HSV);
-        hsv.fold(command, |command, field| command.arg(argument::<SegmentOptions>(field)))
-    }
-
-    fn augment_args_for_update(command: Command) -> Command {
-        HsvArgument::augment_args(command)
-    }
-}
-
-impl clap::FromArgMatches for HsvArgument {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<HsvArgument, clap::Error> {
-        let mut given = Given { table: toml::Table::new(), of: PhantomData };
-        if let Some(text) = matches.get_one::<String>(HSV) {
-            let hsv = SegmentOptions::fields().into_iter().find(|field| field.name == HSV);
-            given.table.extend(hsv.map(|field| (HSV.to_owned(), field.kind.read(text))));
-        }
-        Ok(HsvArgument(given))
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
-        *self = HsvArgument::from_arg_matches(matches)?;
-        Ok(())
+rowgram_base::options! {
+    /// The option `hsv` of `segment`, for the commands that make the leaf mask of a photo themselves.
+    pub(super) struct HsvOptions in "segment", main [hsv] {
+        /// How leaf pixels are recognised: auto estimates vegetation from the picture itself, by NDVI where it has a near-infrared band; or thresholds in
+        /// 8-bit HSV: hue from, hue to (0 to 180), minimum saturation, minimum value (0 to 255), as 30,79,30,163
+        /// (the paper's, for June).
+        pub hsv: Auto<Thresholds> = Auto::Auto, limits between(0.0, 255.0);
     }
 }
 

@@ -116,8 +116,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
             }
             // Settings that cannot be understood are refused before anything is made.
             Config::read(&root, environment()?.into_iter(), &args.set)?;
-            let grow = if args.force { synth::synthesize_over } else { synth::synthesize };
-            grow(&root, args.seed, &mut terminal)?;
+            synth::synthesize(&root, args.seed, args.force, &mut terminal)?;
             open_with(&root, None, &args.set)?
         }
     };

@@ -52,7 +52,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
 }
 
 fn text(outcome: &ThresholdsOutcome) -> String {
-    let mut text = format!("--hsv {}  ({})\n", outcome.hsv, outcome.origin.word());
+    let mut text = format!("--hsv {}  ({})\n", outcome.hsv, outcome.origin);
     for judged in &outcome.judged {
         text += &format!(
             "{}: IoU {:.4}, TPR {:.4}, FPR {:.4} with {}\n",

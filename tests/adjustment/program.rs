@@ -1,30 +1,14 @@
 //! `rowgram adjust` of a block with control, and `rowgram convert`, as a person or a script calls them.
 
 use super::toy::{self, NOISE, Plan, measured, truth, with_positions};
+use crate::program::{rowgram, rowgram_words};
 use rowgram::{
     camera::{Interior, Model as LensModel},
     io::{colmap, model::Model},
     scene::{Reconstruction, Role},
 };
 use serde_json::Value;
-use std::{
-    fmt::Write,
-    path::Path,
-    process::{Command, Output},
-};
-
-fn rowgram(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rowgram"))
-        .args(arguments)
-        .current_dir(folder)
-        .env("NO_COLOR", "1")
-        .output()
-        .unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
+use std::{fmt::Write, path::Path, process::Command};
 
 /// A measured block: a COLMAP model in `sparse`, its control, marks and camera positions in CSV
 /// files.
@@ -86,9 +70,9 @@ fn a_block_with_control_is_adjusted_and_reported() {
     )
     .unwrap();
     let run = |more: &[&str]| {
-        let output = rowgram(folder.path(), &[&["adjust", "block.toml"], more].concat());
-        assert!(output.status.success(), "{}", text(&output.stderr));
-        text(&output.stdout)
+        let output = rowgram_words(folder.path(), &[&["adjust", "block.toml"], more].concat());
+        assert!(output.code == 0, "{}", output.stderr);
+        output.stdout
     };
     let first = run(&["--json", "-o", "adjusted", "--to", "colmap-text"]);
     let report: Value = serde_json::from_str(&first).unwrap();
@@ -129,7 +113,7 @@ fn a_block_with_control_is_adjusted_and_reported() {
         .unwrap();
     assert!(second.status.success());
     assert!(before == names(), "a report depends on the run or the number of threads");
-    let summary = text(&second.stdout);
+    let summary = String::from_utf8(second.stdout).unwrap();
     assert!(summary.contains("removed: control point G03"), "{summary}");
     assert!(summary.contains("check points Z: rmse"), "{summary}");
     // Tie points are eliminated on the fly; what ground points have stays in the reduced system.
@@ -140,18 +124,16 @@ fn a_block_with_control_is_adjusted_and_reported() {
     assert_eq!(path("tie points"), "fused");
     assert!(path("marks")["stored"].is_string(), "{}", report["batches"]);
     // Options of BAL files are refused, unknown keys of a block.toml named.
-    let foreign = rowgram(folder.path(), &["adjust", "block.toml", "--solver", "dense"]);
-    assert!(text(&foreign.stderr).contains("only those are solved with it"), "{foreign:?}");
+    let foreign = rowgram(folder.path(), "adjust block.toml --solver dense");
+    assert!(foreign.stderr.contains("only those are solved with it"), "{foreign:?}");
     // What exists is not replaced.
-    let third = rowgram(folder.path(), &["adjust", "block.toml"]);
-    assert!(!third.status.success() && text(&third.stderr).contains("--force"));
+    let third = rowgram(folder.path(), "adjust block.toml");
+    assert!(third.code != 0 && third.stderr.contains("--force"));
     // The calibrated camera can be taken again.
-    let again = rowgram(
-        folder.path(),
-        &["adjust", "adjusted", "--align=false", "--camera", "report/camera-1.toml"],
-    );
-    let message = text(&again.stderr);
-    assert_eq!(again.status.code(), Some(2), "{message}");
+    let again =
+        rowgram(folder.path(), "adjust adjusted --align=false --camera report/camera-1.toml");
+    let message = again.stderr;
+    assert_eq!(again.code, 2, "{message}");
     assert!(message.contains("whole block is free in 7 direction(s)"), "{message}");
 }
 
@@ -218,19 +200,10 @@ fn bad_control_is_refused_by_file_line_and_name() {
         std::fs::write(&path, damage(&whole)).unwrap();
         let output = rowgram(
             folder.path(),
-            &[
-                "adjust",
-                "sparse",
-                "--control",
-                "gcps.csv",
-                "--marks",
-                "marks.csv",
-                "--positions",
-                "gnss.csv",
-            ],
+            "adjust sparse --control gcps.csv --marks marks.csv --positions gnss.csv",
         );
-        let message = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{parts:?}: {message}");
+        let message = output.stderr;
+        assert_eq!(output.code, 2, "{parts:?}: {message}");
         for part in parts {
             assert!(message.contains(part), "{part}: {message}");
         }
@@ -242,10 +215,10 @@ fn bad_control_is_refused_by_file_line_and_name() {
     let whole = std::fs::read_to_string(&path).unwrap();
     std::fs::write(&path, damaged(&whole, 1, 0, "IMG_9999.JPG")).unwrap();
     let arguments = ["adjust", "sparse", "--control", "gcps.csv", "--marks", "marks.csv", "--json"];
-    let output = rowgram(folder.path(), &arguments);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    assert!(text(&output.stderr).contains("IMG_9999.JPG"), "{}", text(&output.stderr));
-    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let output = rowgram_words(folder.path(), &arguments);
+    assert!(output.code == 0, "{}", output.stderr);
+    assert!(output.stderr.contains("IMG_9999.JPG"), "{}", output.stderr);
+    let report: Value = serde_json::from_str(&output.stdout).unwrap();
     let aside = report["excluded"].as_array().unwrap();
     assert!(aside.iter().any(|a| a["image"] == "IMG_9999.JPG"), "{aside:?}");
 }
@@ -274,9 +247,9 @@ fn reconstructions_are_converted() {
         ("text", "colmap-binary", "binary"),
     ] {
         std::fs::create_dir_all(folder.path().join("sfm")).unwrap();
-        let output = rowgram(folder.path(), &["convert", from, "--to", to, "-o", out]);
-        assert!(output.status.success(), "{}", text(&output.stderr));
-        let message = text(&output.stdout);
+        let output = rowgram_words(folder.path(), &["convert", from, "--to", to, "-o", out]);
+        assert!(output.code == 0, "{}", output.stderr);
+        let message = output.stdout;
         assert!(message.starts_with("1 cameras, 12 images"), "{message}");
     }
     let back = colmap::read(&folder.path().join("binary")).unwrap().survey;
@@ -292,8 +265,7 @@ fn reconstructions_are_converted() {
     assert_eq!(back.observations.len(), survey.observations.len());
     assert_eq!(back.cameras[0].interior.model(), LensModel::Brown);
     // Bundler has no principal point: refused, and nothing is written.
-    let output =
-        rowgram(folder.path(), &["convert", "sparse", "--to", "bundler", "-o", "bundle.out"]);
-    assert_eq!(output.status.code(), Some(2));
+    let output = rowgram(folder.path(), "convert sparse --to bundler -o bundle.out");
+    assert_eq!(output.code, 2);
     assert!(!folder.path().join("bundle.out").exists());
 }

@@ -307,12 +307,9 @@ fn a_plot_can_come_from_one_photo() {
                 [[[west, south], [east, south], [east, north], [west, north], [west, south]]]}
         })
     };
-    let plots = serde_json::json!({
-        "type": "FeatureCollection",
-        "crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32616"}},
-        "features": [plot("A1", [4.0, 9.0], [-3.0, 3.0]), plot("A2", [-5.0, 20.0], [4.0, 6.0])]
-    });
-    fs::write(folder.path().join("plots.geojson"), plots.to_string()).unwrap();
+    let plots = vec![plot("A1", [4.0, 9.0], [-3.0, 3.0]), plot("A2", [-5.0, 20.0], [4.0, 6.0])];
+    let plots = crate::maps::collection(Some(32616), plots);
+    fs::write(folder.path().join("plots.geojson"), plots).unwrap();
     let arguments = format!("{GIVEN} --whole-plots plots.geojson -o ortho.tif").replace(" -q", "");
     let run = rowgram(folder.path(), &arguments);
     assert_eq!(run.code, 0, "{}", run.stderr);
@@ -353,6 +350,35 @@ fn frames_have_a_map_each() {
     let coloured = one.cells().filter(|(_, rgba, _)| rgba[3] == 255).count();
     // 120 x 90 pixels of 0.2 m each.
     assert!((10_600..=11_000).contains(&coloured), "{coloured}");
+}
+
+#[test]
+fn photos_of_one_name_in_two_folders_are_told_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    LEVEL.build(at);
+    let mut poses = fs::read_to_string(at.join("poses.csv")).unwrap();
+    for (k, name) in [(0, "100MEDIA/p.png"), (1, "101MEDIA/p.png")] {
+        fs::create_dir(at.join("images").join(&name[..8])).unwrap();
+        fs::rename(at.join(format!("images/p{k}.png")), at.join("images").join(name)).unwrap();
+        poses = poses.replace(&format!("p{k}.png"), name);
+    }
+    fs::write(at.join("poses.csv"), poses).unwrap();
+    let text = run(at, &format!("{GIVEN} --frames -o ortho.tif --json"));
+    let report: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let frames = report["frames"].as_array().unwrap();
+    let names: Vec<&str> = frames.iter().map(|frame| frame["file"].as_str().unwrap()).collect();
+    let expected = ["100MEDIA_p.png_ortho.tif", "101MEDIA_p.png_ortho.tif", "p2_ortho.tif"];
+    assert_eq!(names, expected.map(|name| format!("frames/{name}")));
+    let query = "ortho query ortho.tif --pixel 59,44 --photo";
+    let ambiguous = rowgram(at, &format!("{query} p"));
+    assert_eq!(ambiguous.code, 2);
+    assert!(ambiguous.stderr.contains("100MEDIA/p.png, 101MEDIA/p.png"), "{}", ambiguous.stderr);
+    assert_eq!(rowgram(at, &format!("{query} 101MEDIA/p.png")).code, 0);
+    // One of them alone, by its name without the ending.
+    let text = run(at, &format!("{GIVEN} --only p2 -o one.tif --json"));
+    let report: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(report["photos"], 1);
 }
 
 #[test]

@@ -33,7 +33,7 @@ pub fn write(path: &Path, force: bool, plots: &[(&str, &LeafCount)]) -> Result<(
                 format!("{:.3}", count.leaves),
                 end(|i| i.low),
                 end(|i| i.high),
-                count.interval.map_or("", |interval| interval.of.word()).to_owned(),
+                count.interval.map(|interval| interval.of.to_string()).unwrap_or_default(),
             ])?;
         }
         csv.flush()

@@ -206,10 +206,7 @@ fn measurements(text: &str, model: &mut Model) -> Result<(), (Option<usize>, Str
 pub fn write(path: &Path, tracks: &Path, model: &Model, force: bool) -> Result<(), FileError> {
     output::check(tracks, force)?;
     let file = to_value(model).map_err(|message| FileError::malformed(path, None, message))?;
-    output::write(path, force, |out| {
-        serde_json::to_writer_pretty(&mut *out, &file)?;
-        writeln!(out)
-    })?;
+    output::write_json(path, force, &file)?;
     let survey = &model.survey;
     output::write(tracks, force, |out| {
         writeln!(out, "OPENSFM_TRACKS_VERSION_v2")?;

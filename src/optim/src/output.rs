@@ -197,6 +197,21 @@ pub fn write(
     })
 }
 
+/// Writes a value as JSON, one entry a line, atomically.
+///
+/// # Errors
+/// As [`write()`], and a value that JSON cannot hold.
+pub fn write_json(
+    path: &Path,
+    force: bool,
+    value: &impl serde::Serialize,
+) -> Result<(), FileError> {
+    write(path, force, |out| {
+        serde_json::to_writer_pretty(&mut *out, value)?;
+        writeln!(out)
+    })
+}
+
 /// As [`write()`], for content that is not written from its beginning to its end.
 ///
 /// # Errors
@@ -294,6 +309,11 @@ pub fn folder_of(path: &Path) -> &Path {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
     }
+}
+
+/// The name of a file without its folder.
+pub fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 #[cfg(test)]

@@ -10,7 +10,10 @@ use rowgram_files::{
     geotiff::{self, Colour, Layout, TILE},
     qgis::{self, Style},
 };
-use rowgram_optim::output::{self, FileError};
+use rowgram_optim::{
+    output::{self, FileError, name_of},
+    robust::median,
+};
 use rowgram_raster::{
     georeference::{Crs, Georeference},
     window::{self, Window},
@@ -147,9 +150,7 @@ impl Cloud {
     /// what the others do does not count.
     pub fn of(reconstruction: &Reconstruction) -> Cloud {
         let points = SurfacePoint::of(reconstruction);
-        let mut heights: Vec<f64> = points.iter().map(|point| point.position_m[2]).collect();
-        heights.sort_by(f64::total_cmp);
-        let middle = heights.get(heights.len() / 2).copied();
+        let middle = median(points.iter().map(|point| point.position_m[2]));
         let footprint = |view: &View| {
             let bounds = middle.map(|z| view.footprint_between_m([z, z]))?;
             let diagonal = bounds.map(|[low, high]| high - low);
@@ -208,7 +209,7 @@ pub fn write_elevation(
     let sorted = model.sorted_sigmas_m();
     if sorted.is_empty() {
         let message = "the points have no standard deviations, so the surface has none";
-        monitor.diagnostic(&Diagnostic::warning("dem-no-sigma", name(output), message));
+        monitor.diagnostic(&Diagnostic::warning("dem-no-sigma", name_of(output), message));
     } else {
         write_heights(&sigma, place, size, sigmas_m, force)?;
     }
@@ -220,8 +221,8 @@ pub fn write_elevation(
     let style = Style::Raster { range: [min_height_m, max_height_m], quantity: "m" };
     qgis::write(&style_path, force, &style)?;
     Ok(DemOutcome {
-        surface: name(output).into(),
-        sigma: (!sorted.is_empty()).then(|| name(&sigma).into()),
+        surface: name_of(output).into(),
+        sigma: (!sorted.is_empty()).then(|| name_of(&sigma).into()),
         width_px: size[0],
         height_px: size[1],
         cell_m: surface.cell_m(),
@@ -235,11 +236,6 @@ pub fn write_elevation(
         max_height_m,
         median_sigma_m: sorted.get(sorted.len() / 2).map(|&sigma| f64::from(sigma)),
     })
-}
-
-/// The name of a file without its folder.
-pub(super) fn name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// `folder/stem_what.tif` beside `folder/stem.tif`.

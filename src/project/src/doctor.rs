@@ -2,9 +2,11 @@
 
 use super::{
     Config, PHOTO_ENDINGS, Project, Stage,
+    align::plan_m,
     forecast::{self, Forecast},
     layers, orthomosaic,
     photo_folder::UNUSABLE_NAME,
+    plots,
     run::LEAST_PHOTOS,
     surface,
 };
@@ -18,7 +20,7 @@ use rowgram_files::{
     photo::{self, Geotag},
     polygons::{self, Named},
 };
-use rowgram_raster::crs::LocalPlane;
+use rowgram_optim::output::name_of;
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
@@ -54,7 +56,7 @@ pub fn doctor(
         found.push(Diagnostic::error("photo-name-unusable", name, UNUSABLE_NAME));
     }
     if let Some(ortho) = project.given_orthomosaic() {
-        let name = ortho.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let name = name_of(&ortho);
         found.extend(of_orthomosaic(&project, &ortho, &name));
         let mut others = project.rasters().map(|rasters| rasters.others).unwrap_or_default();
         let (heights, said) = surface::doctor(&project);
@@ -96,9 +98,6 @@ pub fn doctor(
     }
     found.extend(of_polygons(&project));
     if let Err(error) = orthomosaic::check_bands(&project) {
-        found.push(Diagnostic::error("settings-refused", "settings", error.to_string()));
-    }
-    if let Err(error) = project.config().validate() {
         found.push(Diagnostic::error("settings-refused", "settings", error.to_string()));
     }
     if project.plots().is_none() && project.config().plots.rows_per_plot.is_none() {
@@ -160,14 +159,10 @@ fn of_polygons(project: &Project) -> Vec<Diagnostic> {
 }
 
 /// How many polygons there are, and which of them lie beside the raster or hold no pixel.
-fn beside(polygons: &[Named], (width, height): (usize, usize)) -> String {
+fn beside(polygons: &[Named], size: (usize, usize)) -> String {
     let (mut outside, mut narrow) = (Vec::new(), Vec::new());
     for Named { name, polygon, .. } in polygons {
-        let size = [width as f64, height as f64];
-        let is_on = polygon.bounds().is_some_and(|[low, high]| {
-            (0..2).all(|axis| high[axis] > -0.5 && low[axis] < size[axis] - 0.5)
-        });
-        if !is_on {
+        if !plots::is_on(polygon, size) {
             outside.push(name.as_str());
         } else if polygon.pixels() == 0 {
             narrow.push(name.as_str());
@@ -290,7 +285,7 @@ fn of_photos(
         let message = format!("all {} photos have one", places.len());
         found.push(Diagnostic::info("positions", "positions", message));
     }
-    let at = in_metres(&there);
+    let at = plan_m(&there.iter().copied().map(Some).collect::<Vec<_>>());
     scales.retain(|scale| scale.gsd_m > 0.0);
     scales.sort_by(|a, b| a.gsd_m.total_cmp(&b.gsd_m));
     let scale = scales.get(scales.len() / 2).copied();
@@ -309,17 +304,6 @@ struct Scale {
     gsd_m: f64,
     /// The shorter and the longer side of a photo.
     sides_px: [f64; 2],
-}
-
-/// Places east and north of the first one.
-fn in_metres(places: &[Geotag]) -> Vec<[f64; 2]> {
-    let Some(first) = places.first() else { return Vec::new() };
-    let plane = LocalPlane::at([first.latitude_deg, first.longitude_deg, 0.0]);
-    let of = |tag: &Geotag| {
-        let [east, north, _] = plane.from_wgs84([tag.latitude_deg, tag.longitude_deg, 0.0]);
-        [east, north]
-    };
-    places.iter().map(of).collect()
 }
 
 /// Pixels of the map that photos from these places show, about: what lies within half a photo of a place, in a box along the axes.

@@ -309,11 +309,18 @@ fn write(outcome: &EvaluateOutcome, folder: &Path) -> Result<(), Error> {
         }
         csv.flush()
     })?;
-    output::write(&folder.join("score.json"), true, |out| {
-        serde_json::to_writer_pretty(&mut *out, outcome)?;
-        writeln!(out)
-    })
-    .map_err(|error: FileError| error.into())
+    Ok(output::write_json(&folder.join("score.json"), true, outcome)?)
+}
+
+/// Compares the positions of two CSV files, one to one, at radii in pixels. Columns are found by their names: `u_px,v_px`,
+/// or `x,y`; a file without a header has two columns.
+///
+/// # Errors
+/// Radii that are not positive; files that cannot be read.
+pub fn evaluate_positions(found: &Path, truth: &Path, radii_px: &[f64]) -> Result<Score, Error> {
+    // A radius that cannot be is refused before files are read.
+    Score::new(&[], &[], radii_px)?;
+    Score::new(&points::read(found)?, &points::read(truth)?, radii_px)
 }
 
 #[cfg(test)]

@@ -94,27 +94,72 @@ pub(super) fn write_drawing(
     folder: &Path,
     name: &str,
     force: bool,
-    svg: &str,
+    draw: impl FnOnce(&mut String) -> Drawn,
     csv: &str,
 ) -> Result<(), FileError> {
     output::make_folder(folder)?;
     let path = folder.join(name);
-    output::write(&path, force, |out| out.write_all(svg.as_bytes()))?;
+    save_svg(&path, force, draw)?;
     output::write(&path.with_extension("csv"), force, |out| out.write_all(csv.as_bytes()))
 }
 
 /// Colours that are told apart by everybody (Okabe and Ito).
-const BLUE: RGBColor = RGBColor(0, 114, 178);
-const VERMILION: RGBColor = RGBColor(213, 94, 0);
+pub(super) const BLUE: RGBColor = RGBColor(0, 114, 178);
+pub(super) const VERMILION: RGBColor = RGBColor(213, 94, 0);
+pub(super) const GREEN: RGBColor = RGBColor(0, 158, 115);
+
+/// Whether an SVG could be drawn.
+pub(super) type Drawn = Result<(), Box<dyn std::error::Error>>;
+
+/// Writes an SVG.
+///
+/// # Errors
+/// Where it cannot be drawn or written.
+pub(super) fn save_svg(
+    path: &Path,
+    force: bool,
+    draw: impl FnOnce(&mut String) -> Drawn,
+) -> Result<(), FileError> {
+    let mut svg = String::new();
+    draw(&mut svg).map_err(|e| FileError::write(path, std::io::Error::other(e.to_string())))?;
+    output::write(path, force, |out| out.write_all(svg.as_bytes()))
+}
+
+/// A correlation matrix: blue for negative, vermilion for positive, the number in each cell.
+pub(super) fn correlation<N: AsRef<str>>(
+    svg: &mut String,
+    names: &[N],
+    matrix: &[Vec<f64>],
+) -> Drawn {
+    const CELL: i32 = 52;
+    const EDGE: i32 = 70;
+    let count = names.len() as i32;
+    let side = (EDGE + CELL * count + 10) as u32;
+    let area = SVGBackend::with_string(svg, (side, side)).into_drawing_area();
+    area.fill(&WHITE)?;
+    let style = ("sans-serif", 13).into_font().color(&BLACK);
+    for (i, name) in (0..count).zip(names) {
+        area.draw(&Text::new(name.as_ref(), (4, EDGE + CELL * i + 18), style.clone()))?;
+        area.draw(&Text::new(name.as_ref(), (EDGE + CELL * i + 4, EDGE - 22), style.clone()))?;
+    }
+    for (i, row) in (0..count).zip(matrix) {
+        for (j, &value) in (0..count).zip(row) {
+            let (x, y) = (EDGE + CELL * j, EDGE + CELL * i);
+            let colour = if value < 0.0 { BLUE } else { VERMILION };
+            let cell = [(x, y), (x + CELL - 2, y + CELL - 2)];
+            area.draw(&Rectangle::new(cell, colour.mix(value.abs()).filled()))?;
+            area.draw(&Text::new(format!("{value:.2}"), (x + 9, y + 18), style.clone()))?;
+        }
+    }
+    area.present()?;
+    Ok(())
+}
 
 /// Surface and ground along a line, as SVG: the way in metres, the height in metres.
 ///
 /// # Errors
 /// Where it cannot be drawn.
-pub(super) fn profile(
-    surface: &[(f64, f64)],
-    ground: &[(f64, f64)],
-) -> Result<String, Box<dyn std::error::Error>> {
+pub(super) fn profile(svg: &mut String, surface: &[(f64, f64)], ground: &[(f64, f64)]) -> Drawn {
     let all = || surface.iter().chain(ground);
     let least = |axis: fn(&(f64, f64)) -> f64| all().map(axis).fold(f64::INFINITY, f64::min);
     let most = |axis: fn(&(f64, f64)) -> f64| all().map(axis).fold(f64::NEG_INFINITY, f64::max);
@@ -124,31 +169,24 @@ pub(super) fn profile(
     };
     let (way, height) =
         (range(least(|p| p.0), most(|p| p.0), 0.1), range(least(|p| p.1), most(|p| p.1), 0.1));
-    let mut svg = String::new();
-    {
-        let area = SVGBackend::with_string(&mut svg, (1100, 320)).into_drawing_area();
-        area.fill(&WHITE)?;
-        let mut chart = ChartBuilder::on(&area)
-            .margin(12)
-            .x_label_area_size(40)
-            .y_label_area_size(70)
-            .build_cartesian_2d(way, height)?;
-        chart.configure_mesh().x_desc("way, m").y_desc("height, m").draw()?;
-        let series = |points: &[(f64, f64)], colour: RGBColor| {
-            LineSeries::new(points.to_vec(), colour.stroke_width(1))
-        };
+    let area = SVGBackend::with_string(svg, (1100, 320)).into_drawing_area();
+    area.fill(&WHITE)?;
+    let mut chart = ChartBuilder::on(&area)
+        .margin(12)
+        .x_label_area_size(40)
+        .y_label_area_size(70)
+        .build_cartesian_2d(way, height)?;
+    chart.configure_mesh().x_desc("way, m").y_desc("height, m").draw()?;
+    for (points, colour, name) in [(ground, VERMILION, "ground"), (surface, BLUE, "surface")] {
         chart
-            .draw_series(series(ground, VERMILION))?
-            .label("ground")
-            .legend(|(x, y)| PathElement::new([(x, y), (x + 16, y)], VERMILION));
-        chart
-            .draw_series(series(surface, BLUE))?
-            .label("surface")
-            .legend(|(x, y)| PathElement::new([(x, y), (x + 16, y)], BLUE));
-        chart.configure_series_labels().border_style(BLACK).background_style(WHITE).draw()?;
-        area.present()?;
+            .draw_series(LineSeries::new(points.to_vec(), colour.stroke_width(1)))?
+            .label(name)
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour));
     }
-    Ok(svg)
+    chart.configure_series_labels().border_style(BLACK).background_style(WHITE).draw()?;
+    area.present()?;
+    drop(chart);
+    Ok(())
 }
 
 /// How the cost fell, as SVG: its excess over the lowest, relative to that, by iteration.
@@ -156,18 +194,10 @@ pub(super) fn profile(
 /// # Errors
 /// Where the figure cannot be drawn or written.
 pub fn convergence(path: &Path, force: bool, title: &str, log: &[LogEntry]) -> Result<(), Error> {
-    let mut svg = String::new();
-    draw_convergence(&mut svg, title, log)
-        .map_err(|e| FileError::write(path, std::io::Error::other(e.to_string())))?;
-    output::write(path, force, |out| out.write_all(svg.as_bytes()))?;
-    Ok(())
+    Ok(save_svg(path, force, |svg| draw_convergence(svg, title, log))?)
 }
 
-fn draw_convergence(
-    svg: &mut String,
-    title: &str,
-    log: &[LogEntry],
-) -> Result<(), Box<dyn std::error::Error>> {
+fn draw_convergence(svg: &mut String, title: &str, log: &[LogEntry]) -> Drawn {
     let best = log.iter().map(|entry| entry.best_cost).fold(f64::INFINITY, f64::min);
     let scale = if best > 0.0 { best } else { 1.0 };
     // What is left above the best cost; the best itself has no place on a logarithmic axis.

@@ -6,7 +6,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
 };
 use rowgram_files::polygons::{self, Drawn, Layer, Named};
-use rowgram_optim::output::FileError;
+use rowgram_optim::output::{FileError, name_of};
 use rowgram_raster::georeference::Georeference;
 use std::path::Path;
 
@@ -44,7 +44,7 @@ pub(super) fn layer(
 
 /// Says what was chosen and left out in a file of polygons.
 pub(super) fn say(path: &Path, notes: &[String], monitor: &mut dyn Monitor) {
-    let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let subject = name_of(path);
     for note in notes {
         let found = match note.ends_with("left out") {
             true => Diagnostic::warning("polygons-left-out", &subject, note),

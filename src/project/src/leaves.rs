@@ -20,7 +20,7 @@ use rowgram_files::{
 };
 use rowgram_optim::output::FileError;
 use rowgram_plants::phenotype::leaves::{self, Bridging, Leaf, LeafOptions, LeafShape};
-use rowgram_raster::{Mask, hsv, window};
+use rowgram_raster::{Mask, hsv, overlay::draw_line, window};
 use serde::{Deserialize, Serialize};
 use std::{
     f64::consts::TAU,
@@ -310,19 +310,8 @@ fn draw(view: &mut View, leaves: &[Leaf]) {
             }
         }
     }
-    let (width, height) = view.picture.dimensions();
     for leaf in leaves {
-        for pair in leaf.axis_px.windows(2) {
-            let [from, to] = [view.position(pair[0]), view.position(pair[1])];
-            let steps = (from[0] - to[0]).hypot(from[1] - to[1]).ceil().max(1.0);
-            for step in 0..=steps as usize {
-                let t = step as f64 / steps;
-                let at = |k: usize| (from[k] + t * (to[k] - from[k])).round();
-                let (u, v) = (at(0), at(1));
-                if u >= 0.0 && v >= 0.0 && u < f64::from(width) && v < f64::from(height) {
-                    view.picture.put_pixel(u as u32, v as u32, Rgb([255; 3]));
-                }
-            }
-        }
+        let axis: Vec<[f64; 2]> = leaf.axis_px.iter().map(|&at| view.position(at)).collect();
+        draw_line(&mut view.picture, &axis, Rgb([255; 3]), 1);
     }
 }

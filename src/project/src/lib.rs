@@ -16,7 +16,6 @@ pub mod crops;
 pub mod dem;
 pub mod doctor;
 pub mod evaluate;
-pub mod evaluate_positions;
 pub mod features;
 pub mod figures;
 pub mod forecast;

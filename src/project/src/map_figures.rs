@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use rowgram_base::error::Error;
 use rowgram_files::{csv_table::CsvWriter, images};
 use rowgram_optim::output;
-use rowgram_raster::georeference::Georeference;
+use rowgram_raster::{density::colour, georeference::Georeference};
 use rowgram_survey::mapping::{
     Surface, elevation::ElevationModel, mosaic::Rendered, select::PhotoSelector,
 };
@@ -31,21 +31,6 @@ fn own_colour(number: u32) -> [u8; 3] {
         (value * (1.0 - saturation * part)) as u8
     };
     [of(5.0), of(3.0), of(1.0)]
-}
-
-/// From dark blue over green to yellow.
-fn scale_colour(share: f64) -> [u8; 3] {
-    const STOPS: [[f64; 3]; 5] = [
-        [68.0, 1.0, 84.0],
-        [59.0, 82.0, 139.0],
-        [33.0, 145.0, 140.0],
-        [94.0, 201.0, 98.0],
-        [253.0, 231.0, 37.0],
-    ];
-    let at = share.clamp(0.0, 1.0) * 4.0;
-    let k = (at as usize).min(3);
-    let t = at - k as f64;
-    std::array::from_fn(|c| (STOPS[k][c] + t * (STOPS[k + 1][c] - STOPS[k][c])) as u8)
 }
 
 /// Preview, sources with seams, coverage, and a table of the photos.
@@ -93,7 +78,7 @@ pub(super) fn draw_mosaic(
     let most = counts.iter().copied().max().unwrap_or(0);
     let coverage = picture(size, |u, v| match counts[v * size[0] + u] {
         0 => EMPTY,
-        n => scale_colour(n as f64 / most.max(2) as f64),
+        n => colour(n as f64 / most.max(2) as f64),
     });
     images::write_photo(&folder.join("coverage.png"), force, &coverage)?;
     output::write(&folder.join("coverage.csv"), force, |out| {
@@ -179,7 +164,7 @@ pub(super) fn draw_canopy(
     let step = figures::step(width, height);
     let size = [width.div_ceil(step), height.div_ceil(step)];
     let picture = picture(size, |u, v| match f64::from(canopy_m[v * step * width + u * step]) {
-        value if value.is_finite() => scale_colour(value / top_m.max(1e-9)),
+        value if value.is_finite() => colour(value / top_m.max(1e-9)),
         _ => EMPTY,
     });
     Ok(images::write_photo(&folder.join("canopy.png"), false, &picture)?)
@@ -211,7 +196,7 @@ fn hillshade(surface: &Surface) -> RgbImage {
         let (gx, gy) = (stretch * east / (2.0 * cell), -stretch * south / (2.0 * cell));
         // Light from the north-west, 45 degrees high.
         let light = (0.5 * gx - 0.5 * gy + 0.707) / (1.0 + gx * gx + gy * gy).sqrt();
-        let base = scale_colour((own - low) / (high - low).max(1e-9));
+        let base = colour((own - low) / (high - low).max(1e-9));
         base.map(|c| (f64::from(c) * 0.35 + 165.0 * light.clamp(0.0, 1.0)) as u8)
     })
 }
@@ -219,7 +204,7 @@ fn hillshade(surface: &Surface) -> RgbImage {
 /// Values in colours between two limits.
 fn values(size: [usize; 2], of: &[f32], [low, high]: [f64; 2]) -> RgbImage {
     picture(size, |u, v| match f64::from(of[v * size[0] + u]) {
-        value if value.is_finite() => scale_colour((value - low) / (high - low).max(1e-12)),
+        value if value.is_finite() => colour((value - low) / (high - low).max(1e-12)),
         _ => EMPTY,
     })
 }

@@ -7,7 +7,7 @@ use rowgram_files::{
     polygons::{self, Layer},
     rasters::{self, Source},
 };
-use rowgram_optim::output::FileError;
+use rowgram_optim::output::{FileError, name_of};
 use rowgram_raster::{
     crs,
     georeference::{Crs, CrsKind, Georeference},
@@ -133,8 +133,7 @@ pub(super) fn undecided(pictures: &[PathBuf]) -> Option<String> {
     for path in pictures.iter().filter(|path| rasters::is_tiff_name(path)) {
         let source = Source::open(path).ok().filter(|source| source.georeference().is_some())?;
         let kind = if source.is_photo() { "colours" } else { "single values" };
-        rasters
-            .push(format!("{} ({kind})", path.file_name().unwrap_or_default().to_string_lossy()));
+        rasters.push(format!("{} ({kind})", name_of(path)));
     }
     (!rasters.is_empty()).then(|| {
         format!(
@@ -231,22 +230,22 @@ fn colours(source: &Source, path: &Path) -> Result<Vec<String>, FileError> {
 
 /// What the bands of an orthomosaic are taken for, where that has to be said.
 pub(super) fn bands(source: &Source, path: &Path) -> Vec<Diagnostic> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let name = name_of(path);
     match colours(source, path) {
         Ok(notes) => {
-            let info = |note| Diagnostic::info("orthomosaic-bands", name.as_ref(), note);
+            let info = |note| Diagnostic::info("orthomosaic-bands", &name, note);
             notes.into_iter().map(info).collect()
         }
         Err(error) => {
             let message = error.to_string();
-            vec![Diagnostic::error("orthomosaic-no-colours", name.as_ref(), message)]
+            vec![Diagnostic::error("orthomosaic-no-colours", name, message)]
         }
     }
 }
 
 /// What is odd about an orthomosaic: its reference system, its pixels, its bands.
 pub(super) fn oddities(source: &Source, path: &Path) -> Vec<Diagnostic> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let name = name_of(path);
     let mut found = bands(source, path);
     if let Some(place) = source.georeference() {
         let stored = match source {

@@ -222,11 +222,7 @@ pub fn write(workflow: &Workflow, folder: &Path, force: bool) -> Result<(), Erro
         }
         output::write(&path, force, |out| out.write_all(content.as_bytes()))?;
     }
-    output::write(&folder.join(PLAN_FILE), force, |out| {
-        serde_json::to_writer_pretty(&mut *out, workflow)?;
-        writeln!(out)
-    })
-    .map_err(Error::from)
+    Ok(output::write_json(&folder.join(PLAN_FILE), force, workflow)?)
 }
 
 fn absolute(path: &Path) -> Result<PathBuf, Error> {

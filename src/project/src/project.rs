@@ -266,13 +266,11 @@ impl Project {
     /// An orthomosaic that is there from the beginning: the one that the settings name, or that of a folder without photos
     /// (`orthomosaic`).
     pub fn given_orthomosaic(&self) -> Option<PathBuf> {
-        if self.config.project.ortho.is_some() {
-            return self.given_among(&[]);
+        match &self.config.project.ortho {
+            Some(ortho) => Some(self.root.join(ortho)),
+            None if self.root.join(IMAGES).is_dir() => None,
+            None => self.rasters().map(|rasters| rasters.ortho),
         }
-        if self.root.join(IMAGES).is_dir() {
-            return None;
-        }
-        self.given_among(&photos_in(&self.root))
     }
 
     /// The rasters of a folder without photos, the orthomosaic among them.
@@ -293,17 +291,6 @@ impl Project {
         };
         others.retain(|path| *path != ortho);
         orthomosaic::heights(&self.root, &others)
-    }
-
-    fn given_among(&self, photos: &[PathBuf]) -> Option<PathBuf> {
-        if let Some(path) = &self.config.project.ortho {
-            return Some(self.root.join(path));
-        }
-        let rasters = match photos.is_empty() {
-            true => orthomosaic::below(&self.root),
-            false => orthomosaic::among(photos),
-        };
-        rasters.map(|rasters| rasters.ortho)
     }
 
     /// The orthomosaic, given or made.

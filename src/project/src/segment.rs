@@ -15,7 +15,7 @@ use rowgram_files::{
     geotiff::Colour,
     rasters::{BAND_ROWS, GreyWriter, Source},
 };
-use rowgram_optim::output::FileError;
+use rowgram_optim::output::{FileError, name_of};
 use rowgram_raster::{
     Mask,
     components::{self, Changed},
@@ -244,7 +244,7 @@ fn segment_source(
             "{:.1} % of the picture show nothing ({kinds}) and count in no area, density or mean",
             100.0 * (1.0 - valid_share)
         );
-        let subject = image.file_name().unwrap_or_default().to_string_lossy();
+        let subject = name_of(image);
         monitor.diagnostic(&Diagnostic::info("pixels-without-data", subject, message));
     }
     let hsv = segmenter.hsv();

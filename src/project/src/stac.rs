@@ -49,10 +49,7 @@ pub(super) fn rasters() -> impl Iterator<Item = (Stage, &'static str)> {
 /// Files that cannot be read or written.
 pub(super) fn write(project: &Project, outcome: &RunOutcome, folder: &Path) -> Result<bool, Error> {
     let Some(item) = item(project, outcome)? else { return Ok(false) };
-    output::write(&folder.join(STAC_FILE), true, |out| {
-        serde_json::to_writer_pretty(&mut *out, &item)?;
-        writeln!(out)
-    })?;
+    output::write_json(&folder.join(STAC_FILE), true, &item)?;
     Ok(true)
 }
 
@@ -184,7 +181,7 @@ fn times_of(photo: &photo::Metadata) -> Option<Times> {
 }
 
 /// Days from 1 January 1970 to a date, by years that begin in March.
-fn days(year: i64, month: i64, day: i64) -> i64 {
+pub(super) fn days(year: i64, month: i64, day: i64) -> i64 {
     let year = if month < 3 { year - 1 } else { year };
     let of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;
     365 * year + year.div_euclid(4) - year.div_euclid(100) + year.div_euclid(400) + of_year

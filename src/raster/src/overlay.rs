@@ -58,6 +58,7 @@ pub fn draw_points(image: &mut RgbImage, points_px: &[[f64; 2]], colour: Rgb<u8>
 }
 
 /// Draws a line through points `[u, v]`, pixels, `width_px` pixels wide; what lies outside the picture is not drawn.
+/// From a place to itself it is a square.
 pub fn draw_line(image: &mut RgbImage, points_px: &[[f64; 2]], colour: Rgb<u8>, width_px: u32) {
     let (before, after) = (i64::from(width_px.max(1) - 1) / 2, i64::from(width_px) / 2);
     let (width, height) = (f64::from(image.width()), f64::from(image.height()));

@@ -47,15 +47,7 @@ pub enum IntervalSource {
     Plot,
 }
 
-impl IntervalSource {
-    /// Its word in tables.
-    pub fn word(self) -> &'static str {
-        match self {
-            IntervalSource::Regions => "regions",
-            IntervalSource::Plot => "plot",
-        }
-    }
-}
+rowgram_base::choices!(IntervalSource: Regions, Plot);
 
 /// Where the count lies with a probability of 95 percent.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -53,7 +53,7 @@ pub(super) fn adjust_block(
         model = Model { survey: adjustment.reconstruction(), ..Model::default() };
     }
     if let Some(folder) = &options.report {
-        super::write(folder, &adjustment, outputs.force)?;
+        super::write((folder, folder), &adjustment, outputs.force)?;
     }
     if let Some(path) = &outputs.output {
         convert::write(path, output_format, &mut model, outputs.force)?;
@@ -187,7 +187,7 @@ fn share(survey: &mut Reconstruction, sharing: InteriorSharing) -> Result<(), Er
 fn report_unmatched(unmatched: &[Excluded], monitor: &mut dyn Monitor) {
     for excluded in unmatched.iter().take(MAX_NAMED) {
         let subject = excluded.image.as_ref().or(excluded.point.as_ref());
-        let subject = subject.map_or(excluded.kind.word(), String::as_str);
+        let subject = subject.cloned().unwrap_or_else(|| excluded.kind.to_string());
         monitor.diagnostic(&Diagnostic::warning("unmatched-row", subject, excluded.to_string()));
     }
     if unmatched.len() > MAX_NAMED {

@@ -1,44 +1,33 @@
 //! The figures of a report, as SVG; their numbers are in the tables.
 
-use super::{Adjustment, write_text};
+use super::Adjustment;
+use crate::figures::{BLUE, Drawn, VERMILION, correlation, save_svg};
 use plotters::{
     prelude::*,
     style::text_anchor::{HPos, Pos, VPos},
 };
 use rowgram_base::error::Error;
-use rowgram_optim::output::FileError;
-use rowgram_survey::{
-    problems::adjustment::{InteriorAccuracy, ObservationRef},
-    scene::Role,
-};
+use rowgram_survey::{problems::adjustment::ObservationRef, scene::Role};
 use std::path::Path;
 
-const BLUE: RGBColor = RGBColor(0, 114, 178);
-const VERMILION: RGBColor = RGBColor(213, 94, 0);
 /// Cells of the mean residual vectors along the width of an image.
 const CELLS: usize = 24;
-
-type Drawn = Result<(), Box<dyn std::error::Error>>;
 
 pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Result<(), Error> {
     for camera in 0..adjustment.adjusted.reconstruction.cameras.len().min(8) {
         let name = format!("residuals-{}.svg", camera + 1);
-        save(&folder.join(&name), force, |svg| residuals(svg, adjustment, camera))?;
+        save_svg(&folder.join(&name), force, |svg| residuals(svg, adjustment, camera))?;
     }
     for interior in &adjustment.adjusted.statistics.interiors {
         let name = format!("correlation-{}.svg", interior.camera + 1);
-        save(&folder.join(&name), force, |svg| correlation(svg, interior))?;
+        save_svg(&folder.join(&name), force, |svg| {
+            correlation(svg, &interior.names, &interior.correlation)
+        })?;
     }
     if !adjustment.adjusted.reconstruction.ground.is_empty() {
-        save(&folder.join("control.svg"), force, |svg| control(svg, adjustment))?;
+        save_svg(&folder.join("control.svg"), force, |svg| control(svg, adjustment))?;
     }
     Ok(())
-}
-
-fn save(path: &Path, force: bool, draw: impl FnOnce(&mut String) -> Drawn) -> Result<(), Error> {
-    let mut svg = String::new();
-    draw(&mut svg).map_err(|e| FileError::write(path, std::io::Error::other(e.to_string())))?;
-    write_text(path, &svg, force)
 }
 
 /// Residuals of one camera's images, the mean of each cell of the image as an arrow.
@@ -88,32 +77,6 @@ fn residuals(svg: &mut String, adjustment: &Adjustment, camera: usize) -> Drawn 
     }
     area.present()?;
     drop(chart);
-    Ok(())
-}
-
-/// The correlation matrix of an interior orientation: blue for -1, white for 0, red for +1.
-fn correlation(svg: &mut String, interior: &InteriorAccuracy) -> Drawn {
-    let n = interior.names.len();
-    let side = 90 + 46 * n as u32;
-    let area = SVGBackend::with_string(svg, (side + 20, side)).into_drawing_area();
-    area.fill(&WHITE)?;
-    let small = ("sans-serif", 12).into_font();
-    for i in 0..n {
-        let at = 70 + 46 * i as i32;
-        area.draw(&Text::new(interior.names[i], (4, at + 16), small.clone()))?;
-        area.draw(&Text::new(interior.names[i], (at + 2, 50), small.clone()))?;
-        for j in 0..n {
-            let value = interior.correlation[i][j].clamp(-1.0, 1.0);
-            let rest = (255.0 * (1.0 - value.abs())) as u8;
-            let colour =
-                if value > 0.0 { RGBColor(255, rest, rest) } else { RGBColor(rest, rest, 255) };
-            let left = 70 + 46 * j as i32;
-            area.draw(&Rectangle::new([(left, at), (left + 44, at + 44)], colour.filled()))?;
-            let label = format!("{value:.2}");
-            area.draw(&Text::new(label, (left + 6, at + 16), small.clone()))?;
-        }
-    }
-    area.present()?;
     Ok(())
 }
 

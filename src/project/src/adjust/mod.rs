@@ -10,7 +10,7 @@ mod tables;
 
 pub use network::NetworkOutcome;
 pub use options::{AdjustOptions, DatumChoice, NetworkOptions, SnoopingChoice, read_block};
-pub use report::{Report, summary};
+pub use report::{Report, summary, write};
 
 use crate::convert::Format;
 use rowgram_base::{
@@ -18,7 +18,6 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
     options::Options,
 };
-use rowgram_optim::output;
 use rowgram_survey::{
     problems::adjustment::{Adjusted, Alignment, LeaveOneOut, Removed, Settings},
     scene::{Excluded, Reconstruction},
@@ -158,26 +157,4 @@ pub fn not_converged() -> Diagnostic {
     let message = "the adjustment did not converge, or suspect observations are left";
     Diagnostic::error("not-converged", "adjustment", message)
         .with_remedy("look at the report before using its results")
-}
-
-/// Writes the report of a stage: tables into `report/` of its folder, pictures into `figures/`.
-///
-/// # Errors
-/// Where a folder cannot be made or a file cannot be written.
-pub(super) fn write_report(folder: &Path, adjustment: &Adjustment) -> Result<(), Error> {
-    report::write((&folder.join("report"), &folder.join("figures")), adjustment, true)
-}
-
-/// Writes the report into one folder.
-///
-/// # Errors
-/// As [`output::write`].
-pub fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Result<(), Error> {
-    report::write((folder, folder), adjustment, force)
-}
-
-/// Writes text atomically.
-fn write_text(path: &Path, text: &str, force: bool) -> Result<(), Error> {
-    output::write(path, force, |out| out.write_all(text.as_bytes()))?;
-    Ok(())
 }

@@ -1,7 +1,7 @@
 //! What came of an adjustment: a summary for a person, a report for a machine, a folder with both,
 //! tables, figures and cameras.
 
-use super::{Adjustment, figures, tables, write_text};
+use super::{Adjustment, figures, tables};
 use rowgram_base::error::Error;
 use rowgram_files::camera;
 use rowgram_optim::{
@@ -347,11 +347,11 @@ fn fill(out: &mut String, report: &Report) -> std::fmt::Result {
     Ok(())
 }
 
-/// Writes tables into `folder`, pictures into `pictures`.
+/// Writes the report: tables into `folder`, pictures into `pictures`.
 ///
 /// # Errors
 /// Where a folder cannot be made or one of its files cannot be written.
-pub(super) fn write(
+pub fn write(
     (folder, pictures): (&Path, &Path),
     adjustment: &Adjustment,
     force: bool,
@@ -360,11 +360,9 @@ pub(super) fn write(
         std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
     }
     let report = Report::new(adjustment);
-    output::write(&folder.join("report.json"), force, |out| {
-        serde_json::to_writer_pretty(&mut *out, &report)?;
-        writeln!(out)
-    })?;
-    write_text(&folder.join("summary.txt"), &summary(&report), force)?;
+    output::write_json(&folder.join("report.json"), force, &report)?;
+    let text = summary(&report);
+    output::write(&folder.join("summary.txt"), force, |out| out.write_all(text.as_bytes()))?;
     tables::write(folder, adjustment, force)?;
     figures::write(pictures, adjustment, force)?;
     let adjusted = &adjustment.adjusted;

@@ -146,12 +146,7 @@ pub(super) fn write(folder: &Path, adjustment: &Adjustment, force: bool) -> Resu
 
     let aside = adjustment.unmatched.iter().chain(&adjusted.validated.excluded).map(|aside| {
         let word = |word: &Option<String>| word.clone().unwrap_or_default();
-        vec![
-            aside.kind.word().to_owned(),
-            word(&aside.image),
-            word(&aside.point),
-            aside.reason.clone(),
-        ]
+        vec![aside.kind.to_string(), word(&aside.image), word(&aside.point), aside.reason.clone()]
     });
     let removed = adjustment.removed.iter().map(|removed| {
         let reason = format!("taken out at {:.2} times the critical value", removed.excess);

@@ -1,6 +1,6 @@
 //! Whether a photo is enlarged before features are looked for.
 
-use super::EnlargeChoice;
+use super::When;
 use rowgram_survey::features;
 
 /// Photos with as many pixels show enough without being enlarged: so do 12 synthetic photos of 12 megapixels (docs/decisions.md). Between
@@ -13,13 +13,13 @@ const ENOUGH: f64 = 0.75;
 pub(super) fn detect(
     grey: &image::GrayImage,
     options: &features::FeatureOptions,
-    enlarge: EnlargeChoice,
+    enlarge: When,
 ) -> features::Features {
     let own_size = features::FeatureOptions { upscale: features::Upscale::None, ..*options };
     let is_large = u64::from(grey.width()) * u64::from(grey.height()) >= FULL_SIZE_PX;
     match enlarge {
-        EnlargeChoice::Off => features::detect(grey, &own_size),
-        EnlargeChoice::Auto if is_large => {
+        When::Off => features::detect(grey, &own_size),
+        When::Auto if is_large => {
             let found = features::detect(grey, &own_size);
             let enough = ENOUGH * options.max_features as f64;
             if (found.key_points.len() as f64) < enough {
@@ -27,6 +27,6 @@ pub(super) fn detect(
             }
             found
         }
-        EnlargeChoice::On | EnlargeChoice::Auto => features::detect(grey, options),
+        When::On | When::Auto => features::detect(grey, options),
     }
 }

@@ -1,7 +1,7 @@
 //! The step that looks at pixels: features of every photo.
 
 use super::{
-    EnlargeChoice,
+    When,
     descriptor_store::DescriptorStore,
     enlarge::detect,
     inputs::Inputs,
@@ -70,7 +70,7 @@ const LEAST_FEATURES: usize = 30;
 struct Files<'a> {
     inputs: &'a Inputs,
     options: &'a features::FeatureOptions,
-    enlarge: EnlargeChoice,
+    enlarge: When,
     /// Of all photos, what decides their features besides their content.
     described: String,
     store: Store,
@@ -89,13 +89,13 @@ impl<'a> Files<'a> {
     fn new(
         inputs: &'a Inputs,
         options: &'a features::FeatureOptions,
-        enlarge: EnlargeChoice,
+        enlarge: When,
         store: &Store,
-    ) -> Result<Files<'a>, Error> {
+    ) -> Files<'a> {
         let store = store.within(FEATURES);
         let descriptors = store.within(DESCRIPTORS);
         let described = format!("{options:?} {enlarge:?}");
-        Ok(Files { inputs, options, enlarge, described, store, descriptors })
+        Files { inputs, options, enlarge, described, store, descriptors }
     }
 
     fn key(&self, k: usize) -> Key {
@@ -157,12 +157,12 @@ impl<'a> Files<'a> {
 /// Finds the features of a part of the photos and keeps them; gives the number of these photos.
 pub(super) fn find_part(
     inputs: &Inputs,
-    (options, enlarge): (&features::FeatureOptions, EnlargeChoice),
+    (options, enlarge): (&features::FeatureOptions, When),
     part: Part,
     store: &Store,
     monitor: &mut dyn Monitor,
 ) -> Result<usize, Error> {
-    let files = Files::new(inputs, options, enlarge, store)?;
+    let files = Files::new(inputs, options, enlarge, store);
     let photos = part.range(inputs.photos.len());
     let count = photos.len();
     let counter = Counter::new(monitor, "detecting features", count, "photos");
@@ -174,12 +174,12 @@ pub(super) fn find_part(
 /// same time (`alone` is false), nothing is removed.
 pub(super) fn features(
     inputs: &Inputs,
-    (options, enlarge): (&features::FeatureOptions, EnlargeChoice),
+    (options, enlarge): (&features::FeatureOptions, When),
     alone: bool,
     store: &Store,
     monitor: &mut dyn Monitor,
 ) -> Result<Extracted, Error> {
-    let files = Files::new(inputs, options, enlarge, store)?;
+    let files = Files::new(inputs, options, enlarge, store);
     if alone {
         files.retain()?;
     }
@@ -236,7 +236,7 @@ pub(super) fn features(
 fn find(
     picture: Result<RgbImage, String>,
     options: &features::FeatureOptions,
-    enlarge: EnlargeChoice,
+    enlarge: When,
 ) -> (Found, Bytes) {
     let picture = match picture {
         Ok(picture) => picture,

@@ -1,11 +1,13 @@
 //! Pictures of a block: where the cameras are and what they see, which photos match, the cloud from
 //! above and aside.
 
+use crate::figures::{BLUE, VERMILION, save_svg};
 use image::{Rgb, RgbImage};
 use plotters::prelude::*;
 use rowgram_base::error::Error;
 use rowgram_files::{csv_table::CsvWriter, images};
 use rowgram_optim::output::{self, FileError};
+use rowgram_raster::overlay::draw_line;
 use rowgram_survey::{
     camera::Lens,
     scene::Reconstruction,
@@ -13,21 +15,10 @@ use rowgram_survey::{
 };
 use std::{collections::HashMap, path::Path};
 
-type Drawn = Result<(), Box<dyn std::error::Error>>;
-
-const BLUE: RGBColor = RGBColor(0, 114, 178);
-const VERMILION: RGBColor = RGBColor(213, 94, 0);
 /// Cells of the overlap map along its longer side.
 const CELLS: usize = 90;
 /// Pixels of the pictures of the cloud along their longer side.
 const SIDE_PX: f64 = 1200.0;
-
-fn save(path: &Path, draw: impl FnOnce(&mut String) -> Drawn) -> Result<(), Error> {
-    let mut svg = String::new();
-    draw(&mut svg).map_err(|e| FileError::write(path, std::io::Error::other(e.to_string())))?;
-    output::write(path, true, |out| out.write_all(svg.as_bytes()))?;
-    Ok(())
-}
 
 /// Draws all of them into `folder`, with their numbers in `tables`.
 ///
@@ -98,7 +89,7 @@ fn overlap(
     tables: &Path,
     survey: &Reconstruction,
     view: &View,
-) -> Result<(), Error> {
+) -> Result<(), FileError> {
     let step = (view.x[1] - view.x[0]).max(view.y[1] - view.y[0]) / CELLS as f64;
     let count = |range: [f64; 2]| ((range[1] - range[0]) / step).ceil() as usize;
     let (columns, rows) = (count(view.x), count(view.y));
@@ -124,7 +115,7 @@ fn overlap(
         writeln!(out, "x_m,y_m,images")?;
         cells.iter().try_for_each(|(at, n)| writeln!(out, "{:.3},{:.3},{n}", at[0], at[1]))
     })?;
-    save(&folder.join("overlap.svg"), |svg| {
+    save_svg(&folder.join("overlap.svg"), true, |svg| {
         let area = SVGBackend::with_string(svg, view.size()).into_drawing_area();
         area.fill(&WHITE)?;
         let mut chart = ChartBuilder::on(&area)
@@ -153,8 +144,7 @@ fn overlap(
 
 /// The pairs with their orientations: the rotation as a quaternion `w, x, y, z` and the baseline of
 /// length 1 that take the camera frame of the first to that of the second (`y` up, looking along `-z`).
-fn pairs_table(folder: &Path, pairs: &[Pair], names: &[&str]) -> Result<(), Error> {
-    std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
+fn pairs_table(folder: &Path, pairs: &[Pair], names: &[&str]) -> Result<(), FileError> {
     output::write(&folder.join("pairs.csv"), true, |out| {
         let mut csv = CsvWriter::new(out);
         csv.write_record([
@@ -174,7 +164,6 @@ fn pairs_table(folder: &Path, pairs: &[Pair], names: &[&str]) -> Result<(), Erro
         ])?;
         for pair in pairs {
             let [a, b] = pair.images.map(|k| names[k as usize]);
-            let solver = if pair.solver == Solver::TwoPoint { "two-point" } else { "five-point" };
             let (angle, tilt) = (pair.angle_rad.to_degrees(), pair.pose.tilt_rad().to_degrees());
             let [w, x, y, z] = quaternion(&pair.pose.rotation);
             let t = pair.pose.translation;
@@ -183,7 +172,7 @@ fn pairs_table(folder: &Path, pairs: &[Pair], names: &[&str]) -> Result<(), Erro
                 a.to_owned(),
                 b.to_owned(),
                 pair.matches.len().to_string(),
-                solver.to_owned(),
+                pair.solver.to_string(),
                 format!("{angle:.3}"),
                 format!("{tilt:.3}"),
             ];
@@ -201,7 +190,7 @@ fn graph(
     pairs: &[Pair],
     names: &[&str],
     view: &View,
-) -> Result<(), Error> {
+) -> Result<(), FileError> {
     let places: HashMap<&str, (f64, f64)> = survey
         .images
         .iter()
@@ -210,7 +199,7 @@ fn graph(
             (image.name.as_str(), (c[0], c[1]))
         })
         .collect();
-    save(&folder.join("match-graph.svg"), |svg| {
+    save_svg(&folder.join("match-graph.svg"), true, |svg| {
         let area = SVGBackend::with_string(svg, view.size()).into_drawing_area();
         area.fill(&WHITE)?;
         let mut chart = ChartBuilder::on(&area)
@@ -253,23 +242,16 @@ fn cloud(survey: &Reconstruction, axes: [usize; 2]) -> RgbImage {
     let width = ((across.1 - across.0) * scale).ceil().max(16.0) as u32;
     let height = ((up.1 - up.0) * scale).ceil().max(16.0) as u32;
     let mut picture = RgbImage::from_pixel(width, height, Rgb([255, 255, 255]));
-    let mut dot = |at: [f64; 3], colour: [u8; 3], half: i64| {
-        let x = ((at[axes[0]] - across.0) * scale) as i64;
-        let y = i64::from(height) - 1 - ((at[axes[1]] - up.0) * scale) as i64;
-        for dy in -half..=half {
-            for dx in -half..=half {
-                let (x, y) = (x + dx, y + dy);
-                if (0..i64::from(width)).contains(&x) && (0..i64::from(height)).contains(&y) {
-                    picture.put_pixel(x as u32, y as u32, Rgb(colour));
-                }
-            }
-        }
+    let mut dot = |at: [f64; 3], colour: [u8; 3], side_px: u32| {
+        let x = (at[axes[0]] - across.0) * scale;
+        let y = f64::from(height - 1) - (at[axes[1]] - up.0) * scale;
+        draw_line(&mut picture, &[[x, y]; 2], Rgb(colour), side_px);
     };
     for point in &survey.points {
-        dot(point.position_m, point.colour, 1);
+        dot(point.position_m, point.colour, 3);
     }
     for image in &survey.images {
-        dot(image.pose.centre_m(), [213, 30, 30], 3);
+        dot(image.pose.centre_m(), [213, 30, 30], 7);
     }
     picture
 }

@@ -14,6 +14,7 @@ use rowgram_files::{
     control::Names,
     photo::Geotag,
 };
+use rowgram_optim::output::name_of;
 use rowgram_optim::robust::median;
 use rowgram_raster::crs::Crs;
 use std::path::{Path, PathBuf};
@@ -56,10 +57,6 @@ fn is_events(name: &str) -> bool {
     name.to_ascii_lowercase().ends_with("events.pos") && !name.starts_with('.')
 }
 
-fn subject(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
 /// About where the photos were taken by what they say themselves: latitude and longitude.
 pub(super) fn photos_deg(photos: &[Photo]) -> Option<[f64; 2]> {
     let tags: Vec<Geotag> = photos.iter().filter_map(|photo| photo.metadata.geotag).collect();
@@ -87,9 +84,9 @@ pub(super) fn geotags(
         from_file(path, photos, order, sources, &mut tags, monitor)?;
         place::check_tables(&own, &tags)?;
         if !others.is_empty() {
-            let names: Vec<String> = others.iter().map(|path| subject(path)).collect();
+            let names: Vec<String> = others.iter().map(|path| name_of(path)).collect();
             let message =
-                format!("positions are those of {}; this file is not used", subject(path));
+                format!("positions are those of {}; this file is not used", name_of(path));
             let found = Diagnostic::info("positions-file-unused", names.join(", "), message);
             monitor.diagnostic(&found.with_remedy("name another with [project] positions"));
         }
@@ -120,7 +117,7 @@ fn from_file(
 ) -> Result<(), Error> {
     let read = camera_positions::read(path, photos_deg(photos))?;
     if let Some(choice) = &read.choice {
-        let found = Diagnostic::info("columns-assumed", subject(path), choice.as_str());
+        let found = Diagnostic::info("columns-assumed", name_of(path), choice.as_str());
         let remedy =
             "a first row image, latitude, longitude, height (or easting, northing) says otherwise";
         monitor.diagnostic(&found.with_remedy(remedy));
@@ -170,7 +167,7 @@ fn from_file(
         )));
     }
     let message = format!("{} rows name no photo, the first {first:?}", unmatched.len());
-    monitor.diagnostic(&Diagnostic::warning("rows-without-photo", subject(path), message));
+    monitor.diagnostic(&Diagnostic::warning("rows-without-photo", name_of(path), message));
     Ok(())
 }
 

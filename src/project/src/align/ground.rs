@@ -14,6 +14,7 @@ use rowgram_files::{
     gcp_list,
     photo::Geotag,
 };
+use rowgram_optim::output::name_of;
 use rowgram_raster::crs::{Crs, LocalPlane};
 use rowgram_survey::{
     scene::{
@@ -46,7 +47,7 @@ fn control(
     monitor: &mut dyn Monitor,
 ) -> Result<Option<Ground>, Error> {
     let Some(path) = &sources.control else { return Ok(None) };
-    let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let subject = name_of(path);
     let images = stand_ins(photos);
     let photos_deg = photos_deg(photos);
     let ground = if is_table(path) {
@@ -317,7 +318,7 @@ pub(super) fn place(
 }
 
 /// Positions in a plane for choosing neighbours, metres; NaN where there is none.
-pub(super) fn plan_m(tags: &[Option<Geotag>]) -> Vec<[f64; 2]> {
+pub(crate) fn plan_m(tags: &[Option<Geotag>]) -> Vec<[f64; 2]> {
     let Some(first) = tags.iter().flatten().next() else {
         return vec![[f64::NAN; 2]; tags.len()];
     };

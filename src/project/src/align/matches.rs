@@ -10,6 +10,7 @@ use rowgram_base::{
     error::Error,
     monitor::{Counter, Diagnostic, Monitor},
 };
+use rowgram_optim::robust::median;
 use rowgram_survey::{
     features::{
         DescriptorSource, Descriptors,
@@ -115,7 +116,7 @@ impl<'a> Matching<'a> {
         extracted: &'a Extracted,
         seed: u64,
         store: &'a Store,
-    ) -> Result<Matching<'a>, Error> {
+    ) -> Matching<'a> {
         let (choice, options) = (Choice::new(seed), MatchOptions::default());
         let candidates = candidates(inputs, extracted, &choice);
         let key = candidates
@@ -126,7 +127,7 @@ impl<'a> Matching<'a> {
             .text(&format!("{choice:?} {options:?}"))
             .finish();
         let parts = store.within(PARTS);
-        Ok(Matching { inputs, extracted, choice, options, candidates, store, parts, key })
+        Matching { inputs, extracted, choice, options, candidates, store, parts, key }
     }
 
     /// All matches.
@@ -244,16 +245,11 @@ pub(super) fn remove_duplicates(
         if out[a] || out[b] || (pair.matches.len() as f64) < DOUBLE_SHARE * fewer as f64 {
             continue;
         }
-        let mut apart: Vec<f64> = pair
-            .matches
-            .iter()
-            .map(|[i, j]| {
-                let (p, q) = (&first[*i as usize], &second[*j as usize]);
-                (p[0] - q[0]).hypot(p[1] - q[1])
-            })
-            .collect();
-        apart.sort_by(f64::total_cmp);
-        if apart.get(apart.len() / 2).is_none_or(|&middle| middle > DOUBLE_PX) {
+        let apart = pair.matches.iter().map(|[i, j]| {
+            let (p, q) = (&first[*i as usize], &second[*j as usize]);
+            (p[0] - q[0]).hypot(p[1] - q[1])
+        });
+        if median(apart).is_none_or(|middle| middle > DOUBLE_PX) {
             continue;
         }
         let placed = |k: usize| inputs.plan_m[k][0].is_finite();

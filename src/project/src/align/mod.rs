@@ -26,7 +26,8 @@ mod steps;
 mod surveyed;
 
 pub(super) use descriptor_store::DESCRIPTORS_IN_MEMORY_BYTES;
-pub use options::{AlignOptions, EnlargeChoice, ShutterChoice, SolverChoice, Step};
+pub(super) use ground::plan_m;
+pub use options::{AlignOptions, Step};
 pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
 pub use parts::{find_features, match_pairs};
 pub(super) use surveyed::surveyed_points;
@@ -46,7 +47,7 @@ use rowgram_survey::{
 };
 use std::path::{Path, PathBuf};
 
-pub use rowgram_survey::sfm::{adjust_block::When, intrinsics::LensChoice};
+pub use rowgram_survey::sfm::{adjust_block::When, intrinsics::LensChoice, relative::Solver};
 
 /// The task of [`align`].
 pub struct AlignTask;
@@ -82,12 +83,8 @@ impl Task for AlignTask {
         folder: &Path,
         monitor: &mut dyn Monitor,
     ) -> Result<AlignOutcome, Error> {
-        match run(project, options, Step::Report, Some(folder), monitor)? {
-            StepOutcome::Whole(outcome) => Ok(*outcome),
-            StepOutcome::Part(_) => {
-                Err(Error::Incomplete("the last step was not reached".to_owned()))
-            }
-        }
+        let (_, outcome) = run(project, options, Step::Report, Some(folder), monitor)?;
+        outcome.ok_or_else(|| Error::Incomplete("the last step was not reached".to_owned()))
     }
 }
 
@@ -128,10 +125,7 @@ pub fn align_until(
     rowgram_base::options::Options::validate(options).map_err(refused)?;
     let _lock = project.lock()?;
     AlignTask::inputs(project, options)?;
-    match run(project, options, last.min(Step::Adjust), None, monitor)? {
-        StepOutcome::Part(report) => Ok(report),
-        StepOutcome::Whole(_) => Err(Error::Incomplete("the step was passed".to_owned())),
-    }
+    Ok(run(project, options, last.min(Step::Adjust), None, monitor)?.0)
 }
 
 /// Reads what [`align`] reads, photos only by their heads, and tells the monitor what is remarkable; writes nothing. Where
@@ -163,39 +157,34 @@ pub fn forget(project: &Project, from: Step) -> Result<(), Error> {
     Ok(())
 }
 
-/// How far it went.
-enum StepOutcome {
-    Part(PartialReport),
-    Whole(Box<AlignOutcome>),
-}
-
+/// What was found up to a step, and with a folder, into which it is written, what came of it.
 fn run(
     project: &Project,
     options: &AlignOptions,
     last: Step,
     folder: Option<&Path>,
     monitor: &mut dyn Monitor,
-) -> Result<StepOutcome, Error> {
+) -> Result<(PartialReport, Option<AlignOutcome>), Error> {
     let monitor = &mut Recorder::new(monitor);
     let store = project.store(Stage::Align);
     let mut inputs = inputs::inspect(project, options, Some(&store), monitor)?;
     let mut report = PartialReport::new(&inputs, last);
     if last == Step::Inspect {
-        return Ok(StepOutcome::Part(report));
+        return Ok((report, None));
     }
     let search = (&options.detection(), options.enlarge);
     let extracted = features::features(&inputs, search, true, &store, monitor)?;
     report.features = Some(extracted.geometric.iter().map(|of| of.positions_px.len()).sum());
     if last == Step::Features {
-        return Ok(StepOutcome::Part(report));
+        return Ok((report, None));
     }
     let (mut matched, matched_key) =
-        Matching::new(&inputs, &extracted, options.seed, &store)?.all(monitor)?;
+        Matching::new(&inputs, &extracted, options.seed, &store).all(monitor)?;
     matches::remove_duplicates(&inputs, &extracted, &mut matched, monitor);
     report.pairs = Some(matched.len());
     report.matches = Some(matched.iter().map(|m| m.matches.len()).sum());
     if last == Step::Match {
-        return Ok(StepOutcome::Part(report));
+        return Ok((report, None));
     }
     let features::Extracted { geometric, descriptors, largest, .. } = extracted;
     drop(largest);
@@ -211,7 +200,7 @@ fn run(
     report.pairs = Some(pairs.len());
     report.matches = Some(pairs.iter().map(|pair| pair.matches.len()).sum());
     if last == Step::Verify {
-        return Ok(StepOutcome::Part(report));
+        return Ok((report, None));
     }
     let calibrated = inputs.calibrated;
     let tracks = Tracks::of_pairs(
@@ -227,7 +216,7 @@ fn run(
     report.registered = blocks.first().map(rowgram_survey::sfm::Block::registered);
     report.fragments = Some(blocks.len());
     if last == Step::Orient {
-        return Ok(StepOutcome::Part(report));
+        return Ok((report, None));
     }
     let read = |image: usize| inputs.read_grey(image);
     let photos = Photos { descriptors: &descriptors, matched: &matched, read: &read };
@@ -252,16 +241,16 @@ fn run(
         monitor.diagnostic(&diagnostic);
     }
     let outcome = AlignOutcome::new(&found, &inputs, pairs.len());
-    let Some(folder) = folder else { return Ok(StepOutcome::Part(report)) };
+    let Some(folder) = folder else { return Ok((report, None)) };
     let scene = results::reconstruction(&inputs, &found);
     results::write(folder, &scene, &outcome, &exported)?;
-    adjust::write_report(folder, &adjust::Adjustment::of_block(found))?;
-    let drawn = folder.join(results::FIGURES);
-    figures::write(&drawn, &folder.join(results::REPORT), &scene, &pairs, &inputs.names())?;
+    let (drawn, tables) = (folder.join(results::FIGURES), folder.join(results::REPORT));
+    adjust::write((&tables, &drawn), &adjust::Adjustment::of_block(found), true)?;
+    figures::write(&drawn, &tables, &scene, &pairs, &inputs.names())?;
     let of = (inputs.photos.as_slice(), geometric.as_slice());
     pair_figures::write(&drawn, of, &cameras, &pairs)?;
     if !outcome.converged {
         monitor.diagnostic(&adjust::not_converged());
     }
-    Ok(StepOutcome::Whole(Box::new(outcome)))
+    Ok((report, Some(outcome)))
 }

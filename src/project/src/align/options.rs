@@ -12,42 +12,6 @@ use rowgram_survey::{
 };
 use serde::{Deserialize, Serialize};
 
-/// The minimal solver of relative orientation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum SolverChoice {
-    /// Whichever explains more matches of a pair.
-    Auto,
-    /// The paper's, for nadir photos from nearly the same height.
-    TwoPoint,
-    /// Any photos.
-    FivePoint,
-}
-
-/// Whether photos are enlarged twofold before features are looked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum EnlargeChoice {
-    /// Those of fewer than eight megapixels, and those that show too few features at their own size.
-    Auto,
-    /// All.
-    On,
-    /// None.
-    Off,
-}
-
-/// Whether rows are read one after the other while the camera moves.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ShutterChoice {
-    /// It is estimated, and modelled where it explains much.
-    Auto,
-    /// All rows are read at once.
-    Off,
-    /// It is modelled in any case.
-    On,
-}
-
 /// A step of the stage, in their order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -68,9 +32,6 @@ pub enum Step {
     Report,
 }
 
-rowgram_base::choices!(SolverChoice: Auto, TwoPoint, FivePoint);
-rowgram_base::choices!(EnlargeChoice: Auto, On, Off);
-rowgram_base::choices!(ShutterChoice: Auto, Off, On);
 rowgram_base::choices!(Step: Inspect, Features, Match, Verify, Orient, Adjust, Report);
 
 rowgram_base::options! {
@@ -84,12 +45,12 @@ rowgram_base::options! {
         /// or those that a calibrated camera names.
         pub free: Option<Vec<String>> = None, example "[\"f_px\", \"k1\", \"k2\"]";
         /// Minimal solver of relative orientation.
-        pub solver: SolverChoice = SolverChoice::Auto;
+        pub solver: Solver = Solver::Auto;
         /// Maximum number of features per photo.
         pub max_features: usize = 6000, limits at_least(100.0);
         /// Enlarge photos twofold before feature detection, which takes four times as long: auto does so for photos
         /// below eight megapixels, and for those with too few features.
-        pub enlarge: EnlargeChoice = EnlargeChoice::Auto;
+        pub enlarge: When = When::Auto;
         /// Maximum number of tie-point measurements in the adjustment. Beyond it the longest tracks are kept, such
         /// that every part of every photo has some; each measurement takes about 0.7 kB of memory.
         pub max_tie_observations: usize = 1_000_000, limits at_least(1000.0);
@@ -111,7 +72,7 @@ rowgram_base::options! {
         pub keep: Vec<String> = Vec::new();
         /// Model the rolling shutter (rows are read out one after the other while the camera moves): auto where the
         /// photos show it, on always.
-        pub rolling_shutter: ShutterChoice = ShutterChoice::Auto;
+        pub rolling_shutter: When = When::Auto;
         /// Readout time from the first to the last row of a photo. Where it is not set, velocities are given for
         /// 0.03 s.
         pub readout_s: Option<f64> = None, limits between(0.0001, 1.0), example "0.03";
@@ -140,7 +101,7 @@ fn go_together(options: &AlignOptions) -> Result<(), String> {
         }
     }
     match (options.rolling_shutter, options.readout_s) {
-        (ShutterChoice::Off, Some(_)) => {
+        (When::Off, Some(_)) => {
             Err("readout_s: rolling_shutter = off takes all rows to be read at once".to_owned())
         }
         _ => Ok(()),
@@ -157,11 +118,7 @@ impl AlignOptions {
 
     pub(super) fn verification(&self) -> GeometricVerificationOptions {
         GeometricVerificationOptions {
-            solver: match self.solver {
-                SolverChoice::Auto => Solver::Auto,
-                SolverChoice::TwoPoint => Solver::TwoPoint,
-                SolverChoice::FivePoint => Solver::FivePoint,
-            },
+            solver: self.solver,
             tolerance_px: self.tolerance_px,
             seed: self.seed,
             ..GeometricVerificationOptions::default()
@@ -185,9 +142,9 @@ impl AlignOptions {
         BlockOptions {
             tolerance_px: self.tolerance_px,
             shutter: match self.rolling_shutter {
-                ShutterChoice::Auto => ShutterModel::Auto(readout_s),
-                ShutterChoice::Off => ShutterModel::Global,
-                ShutterChoice::On => ShutterModel::Rolling(readout_s),
+                When::Auto => ShutterModel::Auto(readout_s),
+                When::Off => ShutterModel::Global,
+                When::On => ShutterModel::Rolling(readout_s),
             },
             guided_matching: self.guided_matching,
             refine_tie_points: self.refine_tie_points,

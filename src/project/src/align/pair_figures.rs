@@ -2,10 +2,14 @@
 //! geometry, where right points have the same row.
 
 use super::inputs::Photo;
-use image::{Rgb, RgbImage};
+use image::{
+    Rgb, RgbImage,
+    imageops::{self, FilterType},
+};
 use nalgebra::{Matrix3, Vector3};
 use rowgram_base::error::Error;
 use rowgram_files::images;
+use rowgram_raster::overlay::draw_line;
 use rowgram_survey::{
     camera::{Camera, Lens},
     sfm::{Features, Pair, relative::coplanarity::rectification},
@@ -41,44 +45,14 @@ pub(super) fn write(
     Ok(())
 }
 
-fn line(picture: &mut RgbImage, from: [f64; 2], to: [f64; 2], colour: [u8; 3]) {
-    let steps = (to[0] - from[0]).abs().max((to[1] - from[1]).abs()).ceil().max(1.0);
-    for k in 0..=steps as usize {
-        let share = k as f64 / steps;
-        let (x, y) = (from[0] + share * (to[0] - from[0]), from[1] + share * (to[1] - from[1]));
-        dot(picture, [x, y], colour, 0);
-    }
-}
-
-fn dot(picture: &mut RgbImage, at: [f64; 2], colour: [u8; 3], half: i64) {
-    let (x, y) = (at[0].round() as i64, at[1].round() as i64);
-    for dy in -half..=half {
-        for dx in -half..=half {
-            let (x, y) = (x + dx, y + dy);
-            let inside = (0..i64::from(picture.width())).contains(&x)
-                && (0..i64::from(picture.height())).contains(&y);
-            if inside {
-                picture.put_pixel(x as u32, y as u32, Rgb(colour));
-            }
-        }
-    }
-}
-
 fn beside(first: &RgbImage, second: &RgbImage, features: [&Features; 2], pair: &Pair) -> RgbImage {
     let scales = [first, second].map(|photo| f64::from(HEIGHT_PX) / f64::from(photo.height()));
     let width = |photo: &RgbImage, scale: f64| (f64::from(photo.width()) * scale) as u32;
     let (left, right) = (width(first, scales[0]), width(second, scales[1]));
     let mut picture = RgbImage::new(left + right, HEIGHT_PX);
-    for (photo, scale, offset, columns) in
-        [(first, scales[0], 0, left), (second, scales[1], left, right)]
-    {
-        for y in 0..HEIGHT_PX {
-            for x in 0..columns {
-                let at = |v: u32, size: u32| ((f64::from(v) / scale) as u32).min(size - 1);
-                let pixel = photo.get_pixel(at(x, photo.width()), at(y, photo.height()));
-                picture.put_pixel(offset + x, y, *pixel);
-            }
-        }
+    for (photo, offset, columns) in [(first, 0, left), (second, i64::from(left), right)] {
+        let small = imageops::resize(photo, columns, HEIGHT_PX, FilterType::Nearest);
+        imageops::replace(&mut picture, &small, offset, 0);
     }
     let place = |side: usize, at: [f64; 2]| {
         let offset = if side == 0 { 0.0 } else { f64::from(left) };
@@ -86,16 +60,17 @@ fn beside(first: &RgbImage, second: &RgbImage, features: [&Features; 2], pair: &
     };
     for side in 0..2 {
         for &at in features[side].positions_px.iter().step_by(4) {
-            dot(&mut picture, place(side, at), [255, 210, 0], 0);
+            draw_line(&mut picture, &[place(side, at); 2], Rgb([255, 210, 0]), 1);
         }
     }
     let every = (pair.matches.len() / 150).max(1);
     for [a, b] in pair.matches.iter().step_by(every) {
         let from = place(0, features[0].positions_px[*a as usize]);
         let to = place(1, features[1].positions_px[*b as usize]);
-        line(&mut picture, from, to, [0, 200, 120]);
-        dot(&mut picture, from, [255, 60, 0], 1);
-        dot(&mut picture, to, [255, 60, 0], 1);
+        draw_line(&mut picture, &[from, to], Rgb([0, 200, 120]), 1);
+        for end in [from, to] {
+            draw_line(&mut picture, &[end; 2], Rgb([255, 60, 0]), 3);
+        }
     }
     picture
 }
@@ -161,7 +136,7 @@ fn rectified(
             ]);
         }
         if let [from, to] = ends[..] {
-            line(&mut picture, from, to, [0, 200, 120]);
+            draw_line(&mut picture, &[from, to], Rgb([0, 200, 120]), 1);
         }
     }
     picture

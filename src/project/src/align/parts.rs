@@ -44,5 +44,5 @@ pub fn match_pairs(
     let (inputs, store) = prepare(project, options, monitor)?;
     let search = (&options.detection(), options.enlarge);
     let extracted = features::features(&inputs, search, false, &store, monitor)?;
-    Matching::new(&inputs, &extracted, options.seed, &store)?.part(part, monitor, drop)
+    Matching::new(&inputs, &extracted, options.seed, &store).part(part, monitor, drop)
 }

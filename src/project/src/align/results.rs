@@ -66,9 +66,5 @@ pub(super) fn write(
     let definition = reference.definition().map_or_else(String::new, |text| format!("{text}\n"));
     let frame = format!("{}\n{definition}heights: {}\n", reference.name(), reference.heights());
     output::write(&folder.join("crs.txt"), true, |out| out.write_all(frame.as_bytes()))?;
-    output::write(&folder.join("align.json"), true, |out| {
-        serde_json::to_writer_pretty(&mut *out, outcome)?;
-        writeln!(out)
-    })?;
-    Ok(())
+    Ok(output::write_json(&folder.join("align.json"), true, outcome)?)
 }

@@ -1,9 +1,10 @@
 //! Pictures of a calibration, as SVG.
 
 use super::{Calibration, tables::residual_rows};
+use crate::figures::{BLUE, GREEN, VERMILION, correlation, save_svg};
 use plotters::prelude::*;
 use rowgram_base::error::Error;
-use rowgram_optim::output::{self, FileError};
+use rowgram_optim::output::FileError;
 use rowgram_optim::robust::median;
 use rowgram_survey::problems::calibration::{
     residuals::{CornerResidual, DistortionAt, Ring, distortion_curve, principal_point_px, rings},
@@ -11,20 +12,7 @@ use rowgram_survey::problems::calibration::{
 };
 use std::path::Path;
 
-/// Colours that are told apart by everybody (Okabe and Ito).
-const BLUE: RGBColor = RGBColor(0, 114, 178);
-const VERMILION: RGBColor = RGBColor(213, 94, 0);
-const GREEN: RGBColor = RGBColor(0, 158, 115);
 const GREY: RGBColor = RGBColor(120, 120, 120);
-
-type Drawn = Result<(), Box<dyn std::error::Error>>;
-
-fn save(path: &Path, force: bool, draw: impl FnOnce(&mut String) -> Drawn) -> Result<(), Error> {
-    let mut svg = String::new();
-    draw(&mut svg).map_err(|e| FileError::write(path, std::io::Error::other(e.to_string())))?;
-    output::write(path, force, |out| out.write_all(svg.as_bytes()))?;
-    Ok(())
-}
 
 /// Draws all of them into `folder`.
 ///
@@ -35,38 +23,11 @@ pub(super) fn write(folder: &Path, force: bool, found: &Calibration) -> Result<(
         residual_rows(found)?.into_iter().map(|row| row.residual).collect();
     let curve = distortion_curve(&found.solution.state.interior);
     let path = |name: &str| folder.join(name);
-    correlation(&path("correlation.svg"), force, &found.statistics)?;
+    let Statistics { free, correlation: matrix, .. } = &found.statistics;
+    save_svg(&path("correlation.svg"), force, |svg| correlation(svg, free, matrix))?;
     residuals(&path("residuals.svg"), force, &rows, found.request.size_px)?;
     by_radius(&path("residuals_by_radius.svg"), force, &rows, &rings(&rows))?;
-    distortion(&path("distortion.svg"), force, &curve, found)
-}
-
-/// The correlation matrix: blue for negative, vermilion for positive, the number in each cell.
-fn correlation(path: &Path, force: bool, found: &Statistics) -> Result<(), Error> {
-    let count = found.free.len() as i32;
-    save(path, force, |svg| {
-        const CELL: i32 = 52;
-        const EDGE: i32 = 70;
-        let side = (EDGE + CELL * count + 10) as u32;
-        let area = SVGBackend::with_string(svg, (side, side)).into_drawing_area();
-        area.fill(&WHITE)?;
-        let style = ("sans-serif", 13).into_font().color(&BLACK);
-        for (i, name) in (0..count).zip(&found.free) {
-            area.draw(&Text::new(name.as_ref(), (4, EDGE + CELL * i + 18), style.clone()))?;
-            area.draw(&Text::new(name.as_ref(), (EDGE + CELL * i + 4, EDGE - 22), style.clone()))?;
-        }
-        for (i, row) in (0..count).zip(&found.correlation) {
-            for (j, &value) in (0..count).zip(row) {
-                let (x, y) = (EDGE + CELL * j, EDGE + CELL * i);
-                let colour = if value < 0.0 { BLUE } else { VERMILION };
-                let cell = [(x, y), (x + CELL - 2, y + CELL - 2)];
-                area.draw(&Rectangle::new(cell, colour.mix(value.abs()).filled()))?;
-                area.draw(&Text::new(format!("{value:.2}"), (x + 9, y + 18), style.clone()))?;
-            }
-        }
-        area.present()?;
-        Ok(())
-    })
+    Ok(distortion(&path("distortion.svg"), force, &curve, found)?)
 }
 
 /// The residual of every corner as an arrow at its place, made longer by a round factor.
@@ -75,7 +36,7 @@ fn residuals(
     force: bool,
     rows: &[CornerResidual],
     size_px: [u32; 2],
-) -> Result<(), Error> {
+) -> Result<(), FileError> {
     let [width, height] = size_px.map(f64::from);
     let lengths = rows.iter().map(|row| row.du_px.hypot(row.dv_px));
     let usual = median(lengths).unwrap_or(1.0).max(1e-9);
@@ -84,7 +45,7 @@ fn residuals(
     let decade = 10f64.powf(wanted.log10().floor());
     let factor =
         [5.0, 2.0, 1.0].map(|k| k * decade).into_iter().find(|k| *k <= wanted).unwrap_or(decade);
-    save(path, force, |svg| {
+    save_svg(path, force, |svg| {
         let drawn = (900, (900.0 * height / width) as u32 + 90);
         let area = SVGBackend::with_string(svg, drawn).into_drawing_area();
         area.fill(&WHITE)?;
@@ -123,13 +84,13 @@ fn by_radius(
     force: bool,
     rows: &[CornerResidual],
     rings: &[Ring],
-) -> Result<(), Error> {
+) -> Result<(), FileError> {
     let far = rows.iter().map(|row| row.radius_px).fold(1.0, f64::max);
     let mut sizes: Vec<f64> = rows.iter().map(|row| row.radial_px.abs()).collect();
     sizes.sort_by(f64::total_cmp);
     // A few outliers should not press everything else to a line.
     let high = sizes.get(sizes.len() * 99 / 100).copied().unwrap_or(1.0).max(1e-3) * 1.3;
-    save(path, force, |svg| {
+    save_svg(path, force, |svg| {
         let area = SVGBackend::with_string(svg, (720, 420)).into_drawing_area();
         area.fill(&WHITE)?;
         let mut chart = ChartBuilder::on(&area)
@@ -181,7 +142,7 @@ fn distortion(
     force: bool,
     curve: &[DistortionAt],
     outcome: &Calibration,
-) -> Result<(), Error> {
+) -> Result<(), FileError> {
     let points: Vec<(f64, f64)> = curve
         .iter()
         .filter_map(|row| row.distortion_px.map(|distortion| (row.radius_px, distortion)))
@@ -197,7 +158,7 @@ fn distortion(
     let low = points.iter().map(|p| p.1).fold(0.0, f64::min);
     let high = points.iter().map(|p| p.1).fold(0.0, f64::max);
     let margin = (0.05 * (high - low)).max(1e-3);
-    save(path, force, |svg| {
+    save_svg(path, force, |svg| {
         let area = SVGBackend::with_string(svg, (720, 420)).into_drawing_area();
         area.fill(&WHITE)?;
         let mut chart = ChartBuilder::on(&area)

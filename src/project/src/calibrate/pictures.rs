@@ -7,6 +7,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
 };
 use rowgram_files::images;
+use rowgram_raster::overlay::draw_points;
 use rowgram_survey::{
     camera::Lens,
     mapping::undistort::{Crop, Interpolation, ideal_camera, undistort},
@@ -71,16 +72,7 @@ pub(super) fn write(
 }
 
 /// A cross of some pixels.
-fn mark(picture: &mut RgbImage, [u, v]: [f64; 2]) {
-    const COLOUR: Rgb<u8> = Rgb([213, 94, 0]);
-    let reach = i64::from(picture.width().max(picture.height()) / 160).max(3);
-    let (u, v) = (u.round() as i64, v.round() as i64);
-    let (width, height) = (i64::from(picture.width()), i64::from(picture.height()));
-    for d in -reach..=reach {
-        for (x, y) in [(u + d, v), (u, v + d)] {
-            if (0..width).contains(&x) && (0..height).contains(&y) {
-                picture.put_pixel(x as u32, y as u32, COLOUR);
-            }
-        }
-    }
+fn mark(picture: &mut RgbImage, at_px: [f64; 2]) {
+    let reach_px = (picture.width().max(picture.height()) / 160).max(3);
+    draw_points(picture, &[at_px], Rgb([213, 94, 0]), reach_px);
 }

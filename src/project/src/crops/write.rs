@@ -101,11 +101,7 @@ pub(super) fn tables(outcome: &CropsOutcome, folder: &Path) -> Result<(), Error>
         }
         csv.flush()
     })?;
-    output::write(&folder.join("crops.json"), false, |out| {
-        serde_json::to_writer_pretty(&mut *out, outcome)?;
-        writeln!(out)
-    })?;
-    Ok(())
+    Ok(output::write_json(&folder.join("crops.json"), false, outcome)?)
 }
 
 #[cfg(test)]

@@ -4,13 +4,13 @@ use super::{
     photos::read_photo,
     write::{MAX_PIXELS, Work, nothing},
 };
-use crate::dem::name;
 use rayon::prelude::*;
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
 };
 use rowgram_files::photo::{self, Metadata};
+use rowgram_optim::output::name_of;
 use rowgram_survey::mapping::{
     Surface, View,
     colour_balance::{self, BalancedPhotos, Exposure},
@@ -53,7 +53,7 @@ impl Work<'_> {
         let mut cache = PhotoCache::new(views, &read, self.options.memory_mb << 20);
         let exposures = exposures(photos, cameras)?;
         let found = colour_balance::balance(&selector, size, &exposures, &mut cache)?;
-        let subject = name(self.files.mosaic);
+        let subject = name_of(self.files.mosaic);
         monitor.diagnostic(&match found.as_ref().map(|found| &found.balance) {
             Some(found) => Diagnostic::info(
                 "colours-balanced",

@@ -1,13 +1,13 @@
 //! Plots that are to come from one photo each: which photos are assigned to cells of the mosaic.
 
 use super::write::{OrthoFiles, Work};
-use crate::dem::name;
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
 };
 use rowgram_files::{csv_table::CsvWriter, polygons};
 use rowgram_optim::output;
+use rowgram_optim::output::name_of;
 use rowgram_raster::{georeference::Georeference, polygon::Polygon};
 use rowgram_survey::mapping::{View, assignment::Assignment, select::PhotoSelector};
 use serde::{Deserialize, Serialize};
@@ -74,7 +74,7 @@ fn whole_plots(
     let found = WholePlots {
         of_one_photo: plots.len() - several.len(),
         of_several: several,
-        table: name(&table).into(),
+        table: name_of(&table).into(),
     };
     if !found.of_several.is_empty() {
         let few = found.of_several.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>();
@@ -85,7 +85,7 @@ fn whole_plots(
             plots.len(),
             few.join(", ")
         );
-        monitor.diagnostic(&Diagnostic::warning("plots-of-several-photos", name(path), message));
+        monitor.diagnostic(&Diagnostic::warning("plots-of-several-photos", name_of(path), message));
     }
     Ok((assignment, found))
 }

@@ -1,5 +1,6 @@
 //! `ortho.json`: the photos behind an orthophoto, with poses and lenses, so that its pixels can be followed back.
 
+use crate::record::absolute;
 use rowgram_base::error::Error;
 use rowgram_optim::output::{self, FileError};
 use rowgram_survey::{
@@ -68,10 +69,6 @@ pub struct OrthophotoRecord {
 /// The record of an orthophoto.
 pub(crate) fn path(orthophoto: &Path) -> PathBuf {
     orthophoto.with_extension("json")
-}
-
-fn absolute(path: &Path) -> PathBuf {
-    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
 /// Steps up from a record within which everything is of its project, and moves with it: `PROJECT/rowgram/ortho`.
@@ -149,11 +146,7 @@ impl OrthophotoRecord {
     pub(super) fn write(mut self, orthophoto: &Path, force: bool) -> Result<(), Error> {
         let record = path(orthophoto);
         self.dem = stored(output::folder_of(&record), &self.dem);
-        output::write(&record, force, |out| {
-            serde_json::to_writer_pretty(&mut *out, &self)?;
-            writeln!(out)
-        })?;
-        Ok(())
+        Ok(output::write_json(&record, force, &self)?)
     }
 
     /// Reads the record of an orthophoto; its paths become absolute.

@@ -7,7 +7,7 @@ use super::{
     record::{self, OrthophotoRecord},
 };
 use crate::{
-    dem::{beside, name, read_surface},
+    dem::{beside, read_surface},
     map_figures,
     photo_names::distinct,
 };
@@ -17,7 +17,7 @@ use rowgram_base::{
     options::{Auto, Options},
 };
 use rowgram_files::geotiff::{self, Colour, Layout};
-use rowgram_optim::output::{self, FileError};
+use rowgram_optim::output::{self, FileError, name_of};
 use rowgram_raster::georeference::{Crs, CrsKind, Georeference};
 use rowgram_survey::{
     mapping::{
@@ -109,7 +109,7 @@ pub fn write_orthophotos(
         Auto::Given(metres) => (metres, None),
         Auto::Auto => {
             let found = work.canopy_height(&views, &photos, &surface)?;
-            let subject = name(files.mosaic);
+            let subject = name_of(files.mosaic);
             monitor.diagnostic(&match &found {
                 Some(found) => Diagnostic::info(
                     "canopy-height-found",
@@ -201,7 +201,7 @@ fn surface(
     }
     if surface.georeference.crs.kind == CrsKind::Unknown {
         let message = "it does not name its coordinate reference system; its coordinates are taken as metres in the frame of the photos";
-        monitor.diagnostic(&Diagnostic::warning("dem-no-crs", name(path), message));
+        monitor.diagnostic(&Diagnostic::warning("dem-no-crs", name_of(path), message));
     }
     Ok(surface)
 }
@@ -298,7 +298,7 @@ impl Work<'_> {
     ) -> Result<(Orthophoto, Option<WholePlots>), Error> {
         let options = self.options;
         let (views, photos) = (&all[which.clone()], &files[which.clone()]);
-        let (grid, size) = self.grid(views, &name(output), monitor)?;
+        let (grid, size) = self.grid(views, &name_of(output), monitor)?;
         let selector = PhotoSelector::new(views, surface, grid, options.selection());
         let read = |k: usize| read_photo(&photos[k], views[k].interior.size_px());
         let mut cache = PhotoCache::new(views, &read, options.memory_mb << 20);
@@ -322,7 +322,7 @@ impl Work<'_> {
         let rendered = render(&mosaic, &mut cache, paths, self.files.force, monitor)?;
         if rendered.coloured == 0 {
             let message = "no pixel has a colour";
-            monitor.diagnostic(&Diagnostic::warning("ortho-empty", name(output), message));
+            monitor.diagnostic(&Diagnostic::warning("ortho-empty", name_of(output), message));
         }
         let (cameras, photo_records) = record::photos_of(output, &which, all, files, colour);
         let record = OrthophotoRecord {
@@ -343,9 +343,9 @@ impl Work<'_> {
             map_figures::draw_mosaic(folder, &selector, &rendered, grid, self.files.force)?;
         }
         let made = Orthophoto {
-            file: name(output).into(),
-            provenance: provenance.map(|path| name(&path).into()),
-            record: name(&record::path(output)).into(),
+            file: name_of(output).into(),
+            provenance: provenance.map(|path| name_of(&path).into()),
+            record: name_of(&record::path(output)).into(),
             width_px: size[0],
             height_px: size[1],
             gsd_m: grid.per_column[0],

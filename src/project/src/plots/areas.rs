@@ -8,7 +8,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
 };
 use rowgram_files::{csv_table::CsvTable, field_design, polygons::Named};
-use rowgram_optim::output::FileError;
+use rowgram_optim::output::{FileError, name_of};
 use rowgram_plants::phenotype::row_plots::{plots_from_rows, row_direction, without_border_rows};
 use rowgram_raster::{
     clip,
@@ -143,7 +143,7 @@ fn longest_side(polygon: &Polygon) -> Option<[f64; 2]> {
 fn join(path: &Path, areas: &mut [Named], monitor: &mut dyn Monitor) -> Result<(), Error> {
     let names: Vec<&str> = areas.iter().map(|area| area.name.as_str()).collect();
     let book = field_design::read_field_book(path, &names)?;
-    let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let subject = name_of(path);
     let mut without = Vec::new();
     let mut joined = 0;
     for area in areas.iter_mut() {

@@ -76,10 +76,7 @@ pub(super) fn write(
     ];
     for (name, data) in files {
         let answer = answer(data);
-        output::write(&folder.join(name), true, |out| {
-            serde_json::to_writer_pretty(&mut *out, &answer)?;
-            writeln!(out)
-        })?;
+        output::write_json(&folder.join(name), true, &answer)?;
     }
     Ok(())
 }

@@ -29,7 +29,7 @@ use rowgram_files::{
     polygons::{self, Named},
     rasters,
 };
-use rowgram_optim::output::FileError;
+use rowgram_optim::output::{FileError, name_of};
 use rowgram_plants::phenotype::{
     plots::{Area, PlotIndex, SeenField},
     row_cover::RowCover,
@@ -287,43 +287,40 @@ impl Task for Plots {
                 Plot { polygon, traits, attributes }
             })
             .collect();
-        if let (Some(path), false) = (project.plots(), slivers.is_empty()) {
-            let message = format!(
-                "{} of {} plots hold no middle of a pixel, being narrower than one, and have no traits: {}",
-                slivers.len(),
-                plots.len(),
-                slivers.join(", ")
-            );
-            let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            monitor.diagnostic(
-                &Diagnostic::warning("plots-narrow", subject, message)
-                    .with_remedy("draw them as areas; the leftovers of an overlay can go"),
-            );
-        }
-        if let (Some(path), false) = (project.plots(), outside.is_empty()) {
-            if outside.len() == plots.len() {
+        if let Some(path) = project.plots() {
+            if !outside.is_empty() && outside.len() == plots.len() {
                 let message =
                     "the orthomosaic shows nothing of any of its plots: is it of another field?";
                 return Err(FileError::malformed(&path, None, message).into());
             }
-            let message = format!(
-                "{} of {} plots lie outside of the orthomosaic and have no traits: {}",
-                outside.len(),
-                plots.len(),
-                outside.join(", ")
-            );
-            let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            monitor.diagnostic(&Diagnostic::warning("plots-outside", subject, message));
-        }
-        if let (Some(path), false) = (project.plots(), partly_outside.is_empty()) {
-            let message = format!(
-                "the orthomosaic shows only a part of {} of {} plots, whose traits are of that part: {}",
-                partly_outside.len(),
-                plots.len(),
-                partly_outside.join(", ")
-            );
-            let subject = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            monitor.diagnostic(&Diagnostic::warning("plots-partly-outside", subject, message));
+            for (code, names, what, remedy) in [
+                (
+                    "plots-narrow",
+                    &slivers,
+                    "hold no middle of a pixel, being narrower than one, and have no traits",
+                    Some("draw them as areas; the leftovers of an overlay can go"),
+                ),
+                (
+                    "plots-outside",
+                    &outside,
+                    "lie outside of the orthomosaic and have no traits",
+                    None,
+                ),
+                (
+                    "plots-partly-outside",
+                    &partly_outside,
+                    "are shown only in part by the orthomosaic, and their traits are of that part",
+                    None,
+                ),
+            ] {
+                if !names.is_empty() {
+                    let (some, all, names) = (names.len(), plots.len(), names.join(", "));
+                    let message = format!("{some} of {all} plots {what}: {names}");
+                    let found = Diagnostic::warning(code, name_of(&path), message);
+                    let remedy = remedy.map(str::to_owned);
+                    monitor.diagnostic(&Diagnostic { remedy, ..found });
+                }
+            }
         }
         if !mostly_unseen.is_empty() {
             let message = format!(
@@ -347,7 +344,7 @@ impl Task for Plots {
 }
 
 /// Whether the box around a polygon meets the raster.
-fn is_on(polygon: &Polygon, (width, height): (usize, usize)) -> bool {
+pub(super) fn is_on(polygon: &Polygon, (width, height): (usize, usize)) -> bool {
     let size = [width as f64, height as f64];
     polygon.bounds().is_some_and(|[low, high]| {
         (0..2).all(|axis| high[axis] > -0.5 && low[axis] < size[axis] - 0.5)

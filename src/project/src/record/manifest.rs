@@ -45,11 +45,7 @@ impl Manifest {
         self.files.sort_by(|a, b| (&a.path, &a.sha256).cmp(&(&b.path, &b.sha256)));
         self.files.dedup();
         self.sha256 = self.digest();
-        output::write(&folder.join(MANIFEST), true, |out| {
-            serde_json::to_writer_pretty(&mut *out, self)?;
-            writeln!(out)
-        })?;
-        Ok(())
+        Ok(output::write_json(&folder.join(MANIFEST), true, self)?)
     }
 
     /// Whether a run of several stages was done, which had the settings of a person or none.

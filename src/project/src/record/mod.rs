@@ -220,10 +220,7 @@ impl Records {
 }
 
 fn put(path: &Path, record: &Record) -> Result<(), Error> {
-    Ok(output::write(path, true, |out| {
-        serde_json::to_writer_pretty(&mut *out, record)?;
-        writeln!(out)
-    })?)
+    Ok(output::write_json(path, true, record)?)
 }
 
 fn removed(path: &Path) -> Result<(), Error> {

@@ -4,6 +4,7 @@ use super::{Facts, pictures};
 use crate::Stage;
 use maud::{Markup, html};
 use rowgram_base::error::Error;
+use rowgram_optim::robust::median;
 use rowgram_survey::scene::Role;
 
 /// Width of a drawing in its own units.
@@ -163,11 +164,7 @@ pub(super) fn plants(facts: &Facts<'_>) -> Result<Option<Markup>, Error> {
     let mut sorted: Vec<[f64; 2]> = at.clone();
     sorted.sort_by(|a, b| a[0].total_cmp(&b[0]));
     let Some(middle) = sorted.get(sorted.len() / 2) else { return Ok(None) };
-    let median_v = {
-        let mut rows: Vec<f64> = at.iter().map(|p| p[1]).collect();
-        rows.sort_by(f64::total_cmp);
-        rows[rows.len() / 2]
-    };
+    let median_v = median(at.iter().map(|p| p[1])).unwrap_or_default();
     let ([u0, v0], part) =
         pictures::detail(&facts.project.open_picture(&ortho)?, [middle[0], median_v], [360, 240])?;
     let (columns, rows) = part.dimensions();

@@ -151,7 +151,7 @@ fn numbers(facts: &Facts<'_>) -> Vec<(String, String)> {
 }
 
 /// Colour of a check, and its meaning for those who do not tell colours apart.
-fn colour(severity: Severity) -> (&'static str, &'static str) {
+pub(super) fn colour(severity: Severity) -> (&'static str, &'static str) {
     match severity {
         Severity::Info => ("green", "good"),
         Severity::Warning => ("yellow", "needs attention"),

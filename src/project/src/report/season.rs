@@ -1,13 +1,13 @@
 //! The report of a season: one HTML file that needs no other, from the typed outcome; computes nothing.
 
+use super::page;
 use crate::season::{PlotSeries, SeasonFile, SeasonOutcome, SeasonTrait};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-use rowgram_base::{error::Error, monitor::Severity};
+use rowgram_base::error::Error;
 use rowgram_plants::problems::growth_curve::Estimate;
 use serde_json::json;
 use std::path::PathBuf;
 
-const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("season.js");
 /// What this page adds to the style of the report of a run.
 const OWN_STYLE: &str = ".multiples { display: grid; grid-template-columns: repeat(auto-fill, minmax(170px, 1fr)); gap: .7rem; }\n\
@@ -26,22 +26,16 @@ pub fn write_season(
     outcome: &SeasonOutcome,
     force: bool,
 ) -> Result<PathBuf, Error> {
-    super::put(&page(outcome), &file.results(), force)
+    super::put(&whole(outcome), &file.results(), force)
 }
 
-fn page(outcome: &SeasonOutcome) -> String {
+fn whole(outcome: &SeasonOutcome) -> String {
     let (first, last) = (outcome.flights.first(), outcome.flights.last());
     let dates = first.zip(last).map(|(first, last)| format!("{} to {}", first.date, last.date));
     html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="generator" content=(concat!("rowgram ", env!("CARGO_PKG_VERSION")));
-                title { (outcome.name) " - rowgram" }
-                style { (PreEscaped(STYLE)) (PreEscaped(OWN_STYLE)) }
-            }
+            (page::head(&outcome.name, &html! { style { (PreEscaped(page::STYLE)) (PreEscaped(OWN_STYLE)) } }))
             body {
                 header { h1 { (outcome.name) } p { (dates.unwrap_or_default()) } }
                 nav { div {
@@ -88,11 +82,7 @@ fn overview(outcome: &SeasonOutcome) -> Markup {
             ul .lights {
                 @for found in &outcome.diagnostics {
                     li {
-                        span class=(match found.severity {
-                            Severity::Info => "dot green",
-                            Severity::Warning => "dot yellow",
-                            Severity::Error => "dot red",
-                        }) {}
+                        span class=(format!("dot {}", page::colour(found.severity).0)) {}
                         div { div .name { (found.subject) } div { (found.message) }
                             @if let Some(remedy) = &found.remedy { div .soft { (remedy) } } }
                     }
@@ -162,7 +152,7 @@ fn colours(outcome: &SeasonOutcome) -> Markup {
                     td { (flight.date) }
                     @match &flight.colours {
                         Some(of) => {
-                            td { (of.source.word()) @if !of.compared_with.is_empty() { " of " (of.compared_with.join(", ")) } }
+                            td { (of.source) @if !of.compared_with.is_empty() { " of " (of.compared_with.join(", ")) } }
                             td { (of.places) }
                             @for gain in of.gain { td { (format!("{gain:.3}")) } }
                             @for sigma in percent(of.gain_sigma, of.gain) { td { (sigma) } }

@@ -402,10 +402,7 @@ fn write(project: &Project, outcome: &RunOutcome) -> Result<(), Error> {
     let resolved = work.path().join(RESOLVED_FILE);
     output::write(&resolved, true, |out| out.write_all(settings.as_bytes()))?;
     if outcome.is_whole {
-        output::write(&work.path().join(RUN_FILE), true, |out| {
-            serde_json::to_writer_pretty(&mut *out, outcome)?;
-            writeln!(out)
-        })?;
+        output::write_json(&work.path().join(RUN_FILE), true, outcome)?;
         if !stac::write(project, outcome, work.path())? {
             record::withdraw(results, stac::STAC_FILE)?;
         }

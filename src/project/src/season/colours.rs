@@ -59,16 +59,7 @@ pub enum ColourSource {
     Reference,
 }
 
-impl ColourSource {
-    /// The word for it.
-    pub fn word(self) -> &'static str {
-        match self {
-            ColourSource::Panels => "panels",
-            ColourSource::Ground => "ground",
-            ColourSource::Reference => "reference",
-        }
-    }
-}
+rowgram_base::choices!(ColourSource: Panels, Ground, Reference);
 
 /// The scale of the colours of a date.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -16,11 +16,12 @@
 //! Paths are relative to the file.
 
 use super::SeasonOptions;
+use crate::stac;
 use rowgram_base::{
     error::Error,
     options::{Options, nearest},
 };
-use rowgram_optim::output::FileError;
+use rowgram_optim::output::{self, FileError};
 use rowgram_plants::phenotype::traits::known_traits;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -106,7 +107,7 @@ impl SeasonFile {
         let malformed = |line: Option<usize>, message: String| -> Error {
             FileError::malformed(path, line, message).into()
         };
-        let root = folder_of(path);
+        let root = output::folder_of(path);
         let options = match &content.season {
             Some(table) => SeasonOptions::default()
                 .with(table)
@@ -188,7 +189,7 @@ impl SeasonFile {
 
     /// The folder that paths are relative to.
     pub fn root(&self) -> PathBuf {
-        folder_of(&self.path)
+        output::folder_of(&self.path).to_owned()
     }
 
     /// The folder of the results.
@@ -204,13 +205,6 @@ impl SeasonFile {
     }
 }
 
-fn folder_of(path: &Path) -> PathBuf {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent.to_owned(),
-        _ => PathBuf::from("."),
-    }
-}
-
 /// Days from 1970-01-01 to a date, `YYYY-MM-DD`, of the Gregorian calendar; `None` where it is none.
 fn days_from_epoch(text: &str) -> Option<i64> {
     let date: toml::value::Datetime = text.parse().ok()?;
@@ -218,12 +212,7 @@ fn days_from_epoch(text: &str) -> Option<i64> {
     else {
         return None;
     };
-    // H. Hinnant, chrono-compatible low-level date algorithms, 2013: years begin in March, so leap days come last.
-    let (year, month, day) = (i64::from(year), i64::from(month), i64::from(day));
-    let y = if month <= 2 { year - 1 } else { year };
-    let of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;
-    let of_era = y.rem_euclid(400);
-    Some(y.div_euclid(400) * 146_097 + of_era * 365 + of_era / 4 - of_era / 100 + of_year - 719_468)
+    Some(stac::days(year.into(), month.into(), day.into()))
 }
 
 #[cfg(test)]

@@ -355,10 +355,13 @@ fn second_run(
         let name = PathBuf::from("plots").join(format!("{}.geojson", map.date));
         let work = record::temporary(results)?;
         output::make_folder(&work.path().join("plots"))?;
-        let on_map = outlines.iter().map(|(name, ring)| {
-            (name.as_str(), ring.iter().map(|&at| placement.transform.invert(at)).collect())
+        let on_map = outlines.iter().map(|(name, ring)| polygons::Outline {
+            name: name.clone(),
+            rings: vec![ring.iter().map(|&at| placement.transform.invert(at)).collect()],
+            attributes: Vec::new(),
         });
-        write::polygons(&work.path().join(&name), map.place.crs.epsg, on_map)?;
+        let on_map: Vec<polygons::Outline> = on_map.collect();
+        polygons::write(&work.path().join(&name), true, &on_map, Some(map.place.crs))?;
         record::publish(work.path(), results, flight.force)?;
         flight.config.project.plots = Some(from(&flight.root, &results.join(&name)));
     }

@@ -11,7 +11,6 @@ use rowgram_plants::{
     phenotype::{stand::NORMAL_95, traits::known_traits},
     problems::growth_curve::Estimate,
 };
-use serde_json::json;
 use std::path::Path;
 
 /// The files.
@@ -40,10 +39,7 @@ pub(super) fn write(
     traits(&folder.join("traits_long.csv"), outcome, days)?;
     plants(&folder.join("plants_long.csv"), days, found)?;
     growth(&folder.join("growth.csv"), outcome)?;
-    Ok(output::write(&folder.join(SEASON_RESULTS), true, |out| {
-        serde_json::to_writer_pretty(&mut *out, outcome)?;
-        writeln!(out)
-    })?)
+    Ok(output::write_json(&folder.join(SEASON_RESULTS), true, outcome)?)
 }
 
 fn number(value: Option<f64>, digits: usize) -> String {
@@ -141,7 +137,7 @@ fn colours(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
                 csv.write_record([
                     flight.date.clone(),
                     channel.to_owned(),
-                    of.source.word().to_owned(),
+                    of.source.to_string(),
                     of.compared_with.join(" "),
                     of.places.to_string(),
                     significant(Some(of.gain[c])),
@@ -302,33 +298,4 @@ fn growth(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
         }
         csv.flush()
     })?)
-}
-
-/// Named polygons of one ring as GeoJSON.
-///
-/// # Errors
-/// Where the file cannot be written.
-pub(super) fn polygons<'a>(
-    path: &Path,
-    epsg: Option<u32>,
-    plots: impl Iterator<Item = (&'a str, Vec<[f64; 2]>)>,
-) -> Result<(), Error> {
-    let features: Vec<serde_json::Value> = plots
-        .map(|(name, mut ring)| {
-            // A tenth of a millimetre: the same place gives the same text.
-            ring.iter_mut().flatten().for_each(|x| *x = (*x * 1e4).round() / 1e4);
-            ring.extend(ring.first().copied());
-            json!({
-                "type": "Feature",
-                "properties": {"name": name},
-                "geometry": {"type": "Polygon", "coordinates": [ring]},
-            })
-        })
-        .collect();
-    let mut collection = json!({"type": "FeatureCollection", "features": features});
-    if let Some(code) = epsg {
-        let name = format!("urn:ogc:def:crs:EPSG::{code}");
-        collection["crs"] = json!({"type": "name", "properties": {"name": name}});
-    }
-    Ok(output::write(path, true, |out| writeln!(out, "{collection}"))?)
 }

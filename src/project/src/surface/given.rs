@@ -16,7 +16,7 @@ use rowgram_base::{
     monitor::{Counter, Diagnostic, Monitor},
 };
 use rowgram_files::{cloud::CloudReader, rasters::Source};
-use rowgram_optim::output::FileError;
+use rowgram_optim::output::{FileError, name_of};
 use rowgram_raster::{
     georeference::{Crs, Georeference, Transfer},
     window::{self, Window},
@@ -117,14 +117,14 @@ pub(super) fn doctor(
         Ok(())
     };
     vec![match check() {
-        Err(error) => Diagnostic::error("surface-unreadable", shown(dsm), error.to_string()),
+        Err(error) => Diagnostic::error("surface-unreadable", name_of(dsm), error.to_string()),
         Ok(()) => {
             let ground = match &files.dtm {
-                Some(dtm) => format!("over the ground of {}", shown(dtm)),
+                Some(dtm) => format!("over the ground of {}", name_of(dtm)),
                 None => "over a ground that is fitted to what is bare".to_owned(),
             };
             let message = format!("heights come from it, {ground}");
-            Diagnostic::info("surface-given", shown(dsm), message)
+            Diagnostic::info("surface-given", name_of(dsm), message)
         }
     }]
 }
@@ -148,7 +148,7 @@ pub(super) fn work(
     if options.cloud {
         let message = format!(
             "[surface] cloud: the surface comes from {} and is not matched, so it has no colours",
-            shown(dsm)
+            name_of(dsm)
         );
         return Err(Error::Argument(message));
     }
@@ -162,7 +162,7 @@ pub(super) fn work(
     }
     if options.cell_m.is_some() && !is_cloud(dsm) {
         let message = "the cells are those of the raster that is given; cell_m is for clouds";
-        monitor.diagnostic(&Diagnostic::warning("surface-cells", shown(dsm), message));
+        monitor.diagnostic(&Diagnostic::warning("surface-cells", name_of(dsm), message));
     }
     let ground = match files.ground(options, map)? {
         Some(ground) => ground,
@@ -191,23 +191,19 @@ pub(super) fn work(
         why if why.is::<MapError>() => FileError::malformed(dsm, None, why.to_string()).into(),
         other => other,
     })?;
-    outcome.given = Some(shown(dsm));
+    outcome.given = Some(name_of(dsm));
     if let (Some(dtm), None) = (&files.dtm, outcome.above_ground_m) {
-        let message = format!("it has no height where {} has one", shown(dsm));
+        let message = format!("it has no height where {} has one", name_of(dsm));
         return Err(FileError::malformed(dtm, None, message).into());
     }
     let ground = match (&files.dtm, &ground) {
-        (Some(dtm), _) => format!("the ground is {}", shown(dtm)),
+        (Some(dtm), _) => format!("the ground is {}", name_of(dtm)),
         (None, Ground::Unknown) => "there is no ground below it".to_owned(),
         (None, _) => "the ground below it is fitted to what is bare".to_owned(),
     };
-    let message = format!("heights are those of {}, nothing is matched; {ground}", shown(dsm));
+    let message = format!("heights are those of {}, nothing is matched; {ground}", name_of(dsm));
     monitor.diagnostic(&Diagnostic::info("surface-given", "surface", message));
     Ok(outcome)
-}
-
-fn shown(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// The ground through points of a cloud: those that are classified as ground; where there are none and colours may say what is bare, those

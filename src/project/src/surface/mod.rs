@@ -317,10 +317,6 @@ struct Scene {
 impl Scene {
     fn new(project: &Project, options: &SurfaceOptions) -> Result<Scene, Error> {
         let reconstruction = project.reconstruction()?;
-        if !reconstruction.reference.has_scale() {
-            let message = "the reconstruction has no scale, so heights have no metres; give camera positions or control";
-            return Err(Error::NothingToDo(message.into()));
-        }
         let files = import::photo_files(&reconstruction, &project.photo_folder())?;
         let base = read_surface(&base(project)?)?;
         let views = views(&reconstruction);

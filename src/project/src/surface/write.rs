@@ -412,9 +412,8 @@ impl Sums {
             let known = cells.filter(|(_, z)| z.is_finite());
             known.map(|(u, z)| (u as f64 * found.cell_m, f64::from(z))).collect()
         };
-        let svg = figures::profile(&line(0), &line(1))
-            .map_err(|e| FileError::write(folder, std::io::Error::other(e.to_string())))?;
-        Ok(figures::write_drawing(folder, "profile.svg", true, &svg, &csv)?)
+        let draw = |svg: &mut String| figures::profile(svg, &line(0), &line(1));
+        Ok(figures::write_drawing(folder, "profile.svg", true, draw, &csv)?)
     }
 }
 

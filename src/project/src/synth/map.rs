@@ -7,7 +7,10 @@ use data_synth::{
 };
 use image::ExtendedColorType;
 use rowgram_base::error::Error;
-use rowgram_files::geotiff::{self, Colour, Layout, Sample, Writer};
+use rowgram_files::{
+    geotiff::{self, Colour, Layout, Sample, Writer},
+    polygons::{self, Outline},
+};
 use rowgram_optim::output::{self, FileError};
 use rowgram_raster::{
     georeference::{Crs, Georeference},
@@ -15,7 +18,6 @@ use rowgram_raster::{
     window::Window,
 };
 use serde::{Deserialize, Serialize};
-use serde_json::json;
 use std::path::Path;
 
 /// What the samples of the orthomosaic are.
@@ -107,7 +109,13 @@ pub fn write_map(
     let text =
         |path: &Path, text: &str| output::write(path, force, |out| out.write_all(text.as_bytes()));
     text(&folder.join("field.toml"), &config)?;
-    text(&folder.join("plots.geojson"), &plots(&spectra.plots, place))?;
+    let outline = |(number, plot): (usize, &PlotTruth)| Outline {
+        name: (number + 1).to_string(),
+        rings: vec![plot.corners_px.iter().map(|&at| place.map(at)).collect()],
+        attributes: Vec::new(),
+    };
+    let outlines: Vec<Outline> = spectra.plots.iter().enumerate().map(outline).collect();
+    polygons::write(&folder.join("plots.geojson"), force, &outlines, Some(place.crs))?;
     text(&truth.join("plots.csv"), &plot_table(&spectra.plots))?;
     let mut table = "easting_m,northing_m,u_px,v_px,plot,ndvi_leaf\n".to_owned();
     for (plant, ndvi) in scene.field.plants.iter().zip(&spectra.plants_ndvi) {
@@ -169,20 +177,6 @@ fn write<T: Sample>(
         }
         writer.put(Window::whole(layout.width, layout.height), samples)
     })
-}
-
-fn plots(all: &[PlotTruth], place: Georeference) -> String {
-    let feature = |(number, plot): (usize, &PlotTruth)| {
-        let closed = plot.corners_px.iter().chain(plot.corners_px.first());
-        let ring: Vec<[f64; 2]> = closed.map(|&at| place.map(at)).collect();
-        json!({"type": "Feature", "properties": {"plot": (number + 1).to_string()},
-               "geometry": {"type": "Polygon", "coordinates": [ring]}})
-    };
-    let features: Vec<_> = all.iter().enumerate().map(feature).collect();
-    let name = format!("urn:ogc:def:crs:EPSG::{EPSG}");
-    json!({"type": "FeatureCollection", "features": features,
-           "crs": {"type": "name", "properties": {"name": name}}})
-    .to_string()
 }
 
 fn plot_table(all: &[PlotTruth]) -> String {

@@ -14,7 +14,7 @@ pub use block::{BlockOutcome, BlockPreset, BlockSource, write_block};
 pub use field::{FieldOutcome, write_field};
 pub use flight::{FlightOptions, FlightOutcome, write_flight};
 pub use map::{MapOptions, MapOutcome, MapSamples, write_map};
-pub use project::{BOARD_PHOTOS, SynthesisOutcome, synthesize, synthesize_over};
+pub use project::{BOARD_PHOTOS, SynthesisOutcome, synthesize};
 pub use season::{SeasonSynthesis, write_season};
 
 use data_synth::ConfigError;

@@ -12,10 +12,13 @@ use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
 };
-use rowgram_files::csv_table::CsvTable;
+use rowgram_files::{
+    csv_table::CsvTable,
+    polygons::{self, Outline},
+};
 use rowgram_optim::output::{self, FileError};
+use rowgram_raster::georeference::Crs;
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
 use std::{
     path::{Path, PathBuf},
     result::Result as StdResult,
@@ -52,31 +55,12 @@ struct Made {
 }
 
 /// Makes the project of a seed in the folder `root`, which is made if missing. One that is there whole is kept; one that
-/// was interrupted is made again. `rowgram.toml` is written where there is none, because it is the person's.
+/// was interrupted is made again. `rowgram.toml` is written where there is none, because it is the person's. With `force`, files of the
+/// same names in a folder that holds something else are replaced.
 ///
 /// # Errors
-/// A folder that holds something else, or the project of another seed; writing.
+/// Without `force`, a folder that holds something else, or the project of another seed; writing.
 pub fn synthesize(
-    root: &Path,
-    seed: u64,
-    monitor: &mut dyn Monitor,
-) -> Result<SynthesisOutcome, Error> {
-    make(root, seed, false, monitor)
-}
-
-/// As [`synthesize`], into a folder that may hold something else: files of the same names are replaced.
-///
-/// # Errors
-/// Writing.
-pub fn synthesize_over(
-    root: &Path,
-    seed: u64,
-    monitor: &mut dyn Monitor,
-) -> Result<SynthesisOutcome, Error> {
-    make(root, seed, true, monitor)
-}
-
-fn make(
     root: &Path,
     seed: u64,
     force: bool,
@@ -99,8 +83,11 @@ fn make(
     let epsg = config.site.epsg;
     // Every third plot has been counted by hand.
     let counted: Vec<&Plot> = plots.iter().step_by(3).collect();
-    polygons(&root.join("plots.geojson"), epsg, plots.iter().map(|plot| (plot, false)))?;
-    polygons(&root.join("regions.geojson"), epsg, counted.iter().map(|plot| (*plot, true)))?;
+    let outlines: Vec<Outline> = plots.iter().map(|plot| plot.outline(false)).collect();
+    let regions: Vec<Outline> = counted.iter().map(|plot| plot.outline(true)).collect();
+    for (name, of) in [("plots.geojson", &outlines), ("regions.geojson", &regions)] {
+        polygons::write(&root.join(name), true, of, Some(Crs::projected(epsg)))?;
+    }
     let path = root.join(SETTINGS);
     if !path.exists() {
         let settings = settings(seed, epsg);
@@ -150,11 +137,7 @@ fn whole(root: &Path, made: Made) -> Result<Option<SynthesisOutcome>, Error> {
 }
 
 fn mark(root: &Path, made: &Made) -> Result<(), Error> {
-    output::write(&root.join(MARKER), true, |out| {
-        serde_json::to_writer_pretty(&mut *out, made)?;
-        writeln!(out)
-    })?;
-    Ok(())
+    Ok(output::write_json(&root.join(MARKER), true, made)?)
 }
 
 /// The template of settings with what is known of the project.
@@ -203,35 +186,16 @@ pub(super) fn plots(path: &Path) -> Result<Vec<Plot>, Error> {
         .collect())
 }
 
-/// Writes plots as polygons, with the numbers of their leaves where asked.
-pub(super) fn polygons<'a>(
-    path: &Path,
-    epsg: u32,
-    plots: impl Iterator<Item = (&'a Plot, bool)>,
-) -> Result<(), Error> {
-    let features: Vec<Value> = plots
-        .map(|(plot, leaves)| {
-            let mut ring = plot.corners_m.to_vec();
-            ring.push(plot.corners_m[0]);
-            let mut properties = json!({"name": plot.name});
-            if leaves {
-                properties["leaves"] = json!(plot.leaves);
-            }
-            json!({
-                "type": "Feature",
-                "properties": properties,
-                "geometry": {"type": "Polygon", "coordinates": [ring]},
-            })
-        })
-        .collect();
-    let name = format!("urn:ogc:def:crs:EPSG::{epsg}");
-    let collection = json!({
-        "type": "FeatureCollection",
-        "crs": {"type": "name", "properties": {"name": name}},
-        "features": features,
-    });
-    output::write(path, true, |out| writeln!(out, "{collection}"))?;
-    Ok(())
+impl Plot {
+    /// Its polygon, with the number of its leaves where asked.
+    pub(super) fn outline(&self, with_leaves: bool) -> Outline {
+        let leaves = with_leaves.then(|| ("leaves".to_owned(), self.leaves.into()));
+        Outline {
+            name: self.name.clone(),
+            rings: vec![self.corners_m.to_vec()],
+            attributes: leaves.into_iter().collect(),
+        }
+    }
 }
 
 #[cfg(test)]

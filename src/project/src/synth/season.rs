@@ -7,11 +7,7 @@
 //! that of [`super::write_flight`], with the rows and sites of its plants that tell which plant of the season each is.
 
 use super::refused;
-use super::{
-    FlightOptions, config_text,
-    project::{plots, polygons},
-    write_flight,
-};
+use super::{FlightOptions, config_text, project::plots, write_flight};
 use crate::{SETTINGS, season::SEASON_FILE};
 use data_synth::{
     field::Plant,
@@ -23,10 +19,10 @@ use data_synth::{
     twin::{Twin, TwinConfig},
 };
 use rowgram_base::{error::Error, monitor::Monitor};
+use rowgram_files::polygons::{self, Outline};
 use rowgram_optim::output::{self, FileError};
-use rowgram_raster::height_counts::HeightCounts;
+use rowgram_raster::{georeference::Crs, height_counts::HeightCounts};
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
 use std::{collections::BTreeMap, io::Write, path::Path};
 
 /// What a season holds.
@@ -97,8 +93,9 @@ pub fn write_season(
     }
     let drawn = plots(&root.join(&found.dates[0]).join("truth").join("plots.csv"))?;
     found.plots = drawn.len();
-    let epsg = config.twin.site.epsg;
-    polygons(&root.join(FILES[2]), epsg, drawn.iter().map(|plot| (plot, false)))?;
+    let outlines: Vec<Outline> = drawn.iter().map(|plot| plot.outline(false)).collect();
+    let crs = Crs::projected(config.twin.site.epsg);
+    polygons::write(&root.join(FILES[2]), true, &outlines, Some(crs))?;
     let resolved = config_text(config)?;
     output::write(&root.join(FILES[1]), force, |out| out.write_all(resolved.as_bytes()))?;
     output::write(&root.join(FILES[3]), force, |out| season.plants_table(out))?;
@@ -141,28 +138,18 @@ fn list(config: &SeasonConfig, dates: &[String]) -> String {
 
 /// The panels as a crew would draw them on the map: within their edges, with what their maker says of them.
 fn panels(path: &Path, twin: &Twin) -> Result<(), Error> {
-    let feature = |panel: &Panel| {
-        let mut ring: Vec<[f64; 2]> = panel
-            .shrunk(0.7)
-            .map(|corner| twin.site.grid_m(corner))
-            .map(|[e, n, _]| [e, n].map(|x| (x * 1e4).round() / 1e4))
-            .into();
-        ring.push(ring[0]);
-        let [red, green, blue] = panel.reflectance;
-        json!({
-            "type": "Feature",
-            "properties": {"name": panel.name, "red": red, "green": green, "blue": blue},
-            "geometry": {"type": "Polygon", "coordinates": [ring]},
-        })
+    let outline = |panel: &Panel| {
+        let corners = panel.shrunk(0.7).map(|corner| twin.site.grid_m(corner));
+        let colours = ["red", "green", "blue"].into_iter().zip(panel.reflectance);
+        Outline {
+            name: panel.name.into(),
+            rings: vec![corners.map(|[e, n, _]| [e, n]).to_vec()],
+            attributes: colours.map(|(name, share)| (name.to_owned(), share.into())).collect(),
+        }
     };
-    let features: Vec<Value> = twin.field().panels.iter().map(feature).collect();
-    let name = format!("urn:ogc:def:crs:EPSG::{}", twin.config.site.epsg);
-    let collection = json!({
-        "type": "FeatureCollection",
-        "crs": {"type": "name", "properties": {"name": name}},
-        "features": features,
-    });
-    Ok(output::write(path, true, |out| writeln!(out, "{collection}"))?)
+    let outlines: Vec<Outline> = twin.field().panels.iter().map(outline).collect();
+    let crs = Crs::projected(twin.config.site.epsg);
+    Ok(polygons::write(path, true, &outlines, Some(crs))?)
 }
 
 /// Settings of one flight.

@@ -3,26 +3,15 @@
 //! `histograms.csv` has the columns `channel` (hue, saturation, value), `value` (in 8-bit HSV), and the numbers of `plant` and
 //! `other` pixels; `sweeps.csv` has `threshold`, `value`, `true_positive_rate`, `false_positive_rate` and `iou`.
 
-use crate::figures::write_drawing;
+use crate::figures::{BLUE, Drawn, GREEN, VERMILION, write_drawing};
 use plotters::prelude::*;
 use rowgram_base::error::Error;
-use rowgram_optim::output::FileError;
 use rowgram_raster::{mask::Thresholds, tuning::Colours};
 use std::{fmt::Write as _, path::Path};
 
-type Drawn = Result<(), Box<dyn std::error::Error>>;
-
-/// Colours that are told apart by everybody (Okabe and Ito).
-const LEAF: RGBColor = RGBColor(0, 158, 115);
-const OTHER: RGBColor = RGBColor(213, 94, 0);
-const CURVES: [RGBColor; 4] =
-    [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115), RGBColor(204, 121, 167)];
+const CURVES: [RGBColor; 4] = [BLUE, VERMILION, GREEN, RGBColor(204, 121, 167)];
 /// The thresholds in their order.
 const THRESHOLDS: [&str; 4] = ["hue_min", "hue_max", "saturation_min", "value_min"];
-
-fn failed(path: &Path, error: &dyn std::fmt::Display) -> Error {
-    FileError::write(path, std::io::Error::other(error.to_string())).into()
-}
 
 /// Hue, saturation and value of leaf and other pixels, with the thresholds.
 pub(super) fn histograms(
@@ -39,9 +28,8 @@ pub(super) fn histograms(
             let _ = writeln!(csv, "{name},{value},{plant},{other}");
         }
     }
-    let mut svg = String::new();
-    draw_histograms(&mut svg, &all, hsv, annotated).map_err(|error| failed(folder, &error))?;
-    Ok(write_drawing(folder, "histograms.svg", force, &svg, &csv)?)
+    let draw = |svg: &mut String| draw_histograms(svg, &all, hsv, annotated);
+    Ok(write_drawing(folder, "histograms.svg", force, draw, &csv)?)
 }
 
 fn draw_histograms(
@@ -70,7 +58,7 @@ fn draw_histograms(
             .y_label_formatter(&|y| format!("{y:.0e}"))
             .light_line_style(WHITE)
             .draw()?;
-        for (class, colour, name) in [(0, OTHER, "other"), (1, LEAF, leaf)] {
+        for (class, colour, name) in [(0, VERMILION, "other"), (1, GREEN, leaf)] {
             let line = (0..end as usize).map(|x| (x as f64, (all[k][x][class] as f64).max(0.5)));
             chart
                 .draw_series(LineSeries::new(line, colour.stroke_width(2)))?
@@ -108,9 +96,7 @@ pub(super) fn sweeps(
         }
         curves.push(curve);
     }
-    let mut svg = String::new();
-    draw_sweeps(&mut svg, &curves).map_err(|error| failed(folder, &error))?;
-    Ok(write_drawing(folder, "sweeps.svg", force, &svg, &csv)?)
+    Ok(write_drawing(folder, "sweeps.svg", force, |svg| draw_sweeps(svg, &curves), &csv)?)
 }
 
 fn draw_sweeps(svg: &mut String, curves: &[Vec<[f64; 4]>]) -> Drawn {

@@ -49,16 +49,7 @@ pub enum Origin {
     Given,
 }
 
-impl Origin {
-    /// Its word.
-    pub fn word(self) -> &'static str {
-        match self {
-            Origin::Proposed => "proposed",
-            Origin::Tuned => "tuned",
-            Origin::Given => "given",
-        }
-    }
-}
+rowgram_base::choices!(Origin: Proposed, Tuned, Given);
 
 /// How thresholds judge one annotated photo.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

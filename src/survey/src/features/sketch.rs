@@ -2,6 +2,7 @@
 
 use crate::features::{KeyPoint, matching::Match};
 use image::{Rgb, RgbImage, imageops};
+use rowgram_raster::overlay::draw_line;
 
 /// Colours that are told apart by everybody (Okabe and Ito), used in turn.
 const COLOURS: [Rgb<u8>; 6] = [
@@ -28,8 +29,8 @@ pub fn draw_key_points(photo: &mut RgbImage, key_points: &[KeyPoint]) {
             let turn = step as f32 / steps as f32 * std::f32::consts::TAU;
             put(photo, u_px + radius * turn.cos(), v_px + radius * turn.sin(), colour);
         }
-        let end = (u_px + radius * angle_rad.cos(), v_px + radius * angle_rad.sin());
-        draw_line(photo, (u_px, v_px), end, colour);
+        let end = [u_px + radius * angle_rad.cos(), v_px + radius * angle_rad.sin()];
+        draw_line(photo, &[[u_px, v_px], end].map(|at| at.map(f64::from)), colour, 1);
     }
 }
 
@@ -54,19 +55,11 @@ pub fn correspondences(
     for (index, m) in matches.iter().enumerate() {
         let ends = (first.1.get(m.first as usize), second.1.get(m.second as usize));
         let (Some(from), Some(to)) = ends else { continue };
-        let to = (to.u_px + shift.0 as f32, to.v_px + shift.1 as f32);
-        draw_line(&mut picture, (from.u_px, from.v_px), to, COLOURS[index % COLOURS.len()]);
+        let [from, to] = [from, to].map(|of| [of.u_px, of.v_px].map(f64::from));
+        let to = [to[0] + f64::from(shift.0), to[1] + f64::from(shift.1)];
+        draw_line(&mut picture, &[from, to], COLOURS[index % COLOURS.len()], 1);
     }
     picture
-}
-
-fn draw_line(image: &mut RgbImage, from: (f32, f32), to: (f32, f32), colour: Rgb<u8>) {
-    let (du, dv) = (to.0 - from.0, to.1 - from.1);
-    let steps = du.abs().max(dv.abs()).ceil().clamp(1.0, 1e6) as u32;
-    for step in 0..=steps {
-        let share = step as f32 / steps as f32;
-        put(image, from.0 + share * du, from.1 + share * dv, colour);
-    }
 }
 
 /// Paints the nearest pixel, if it is in the picture.

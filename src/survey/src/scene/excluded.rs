@@ -29,20 +29,9 @@ pub enum ExcludedKind {
     CameraPosition,
 }
 
-impl ExcludedKind {
-    /// The word for people and tables.
-    pub fn word(self) -> &'static str {
-        match self {
-            ExcludedKind::Image => "image",
-            ExcludedKind::TiePoint => "tie point",
-            ExcludedKind::Observation => "observation",
-            ExcludedKind::Mark => "mark",
-            ExcludedKind::GroundPoint => "ground point",
-            ExcludedKind::ScaleBar => "scale bar",
-            ExcludedKind::CameraPosition => "camera position",
-        }
-    }
-}
+rowgram_base::choices!(
+    ExcludedKind: Image, TiePoint, Observation, Mark, GroundPoint, ScaleBar, CameraPosition
+);
 
 /// Something that takes no part in the adjustment, and why.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -60,7 +49,7 @@ pub struct Excluded {
 
 impl fmt::Display for Excluded {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.kind.word())?;
+        write!(f, "{}", self.kind)?;
         if let Some(point) = &self.point {
             write!(f, " {point}")?;
         }

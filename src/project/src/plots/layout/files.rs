@@ -117,11 +117,7 @@ pub(super) fn write(
         }
         csv.flush()
     })?;
-    output::write(&folder.join("layout.json"), force, |out| {
-        serde_json::to_writer_pretty(&mut *out, outcome)?;
-        writeln!(out)
-    })?;
-    Ok(())
+    Ok(output::write_json(&folder.join("layout.json"), force, outcome)?)
 }
 
 /// A placement moved along and across its rows, metres.

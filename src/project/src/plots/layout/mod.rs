@@ -24,7 +24,7 @@ use rowgram_files::{
     field_design::{FieldMap, Surveyed, read_corners, read_field_map},
     polygons,
 };
-use rowgram_optim::output::FileError;
+use rowgram_optim::output::{FileError, name_of};
 use rowgram_plants::{
     phenotype::layout::{
         Plan,
@@ -165,11 +165,6 @@ pub fn layout(
     Ok(outcome)
 }
 
-/// The name of a file without its folder.
-fn file_name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
 /// The system of corners that no project places: the one that is named, the UTM zone of degrees, else metres of one's own.
 fn crs_of(request: &LayoutRequest<'_>, path: &Path) -> Result<Crs, Error> {
     let of_words = |words: &str| {
@@ -257,7 +252,7 @@ fn from_corners(
             across_m: *across_m,
         })
         .collect();
-    outcome::tell_corners(&file_name(path), &residuals, &fitted, options, monitor);
+    outcome::tell_corners(&name_of(path), &residuals, &fitted, options, monitor);
     let mut covariance = [[0.0; FREE]; FREE];
     for (row, of) in covariance.iter_mut().zip(&fitted.covariance) {
         row[..AFFINE].copy_from_slice(of);
@@ -381,7 +376,7 @@ fn join(laid: &mut Laid, map: &FieldMap, path: &Path, monitor: &mut dyn Monitor)
     }
     if !words.is_empty() {
         monitor.diagnostic(
-            &Diagnostic::warning("field-map-unmatched", file_name(path), words.join("; "))
+            &Diagnostic::warning("field-map-unmatched", name_of(path), words.join("; "))
                 .with_remedy("compare first_number, numbering and serpentine with the field map"),
         );
     }

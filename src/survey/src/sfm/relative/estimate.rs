@@ -25,6 +25,8 @@ pub enum Solver {
     Auto,
 }
 
+rowgram_base::choices!(Solver: Auto, TwoPoint, FivePoint);
+
 /// How a pair is oriented.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RelativePoseOptions {
