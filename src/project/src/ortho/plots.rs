@@ -6,8 +6,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
 };
 use rowgram_files::{csv_table::CsvWriter, polygons};
-use rowgram_optim::output;
-use rowgram_optim::output::name_of;
+use rowgram_optim::output::{self, name_of};
 use rowgram_raster::{georeference::Georeference, polygon::Polygon};
 use rowgram_survey::mapping::{View, assignment::Assignment, select::PhotoSelector};
 use serde::{Deserialize, Serialize};
