@@ -201,14 +201,6 @@ fn weights(
     let paths = masks(&args.masks, args.first, args.last)?;
     let fields: Vec<RowsToCount> =
         paths.par_iter().map(|path| read(path)).collect::<Result<_, _>>()?;
-    for (name, value) in [
-        ("contrast", (|field| field.overall.contrast) as fn(&RowsToCount) -> f64),
-        ("cover", |field| field.overall.cover),
-        ("leaf outside rows", |field| field.overall.outside),
-    ] {
-        let ends = [f64::min, f64::max].map(|end| fields.iter().map(value).reduce(end));
-        eprintln!("{name} of {} masks: {ends:.2?}", fields.len());
-    }
     // The weights of the chain that finds the best places, about.
     let mut start = Weights::default();
     start.places[..2].copy_from_slice(&[1.1, 6.0]);
