@@ -206,7 +206,10 @@ fn bad_input_is_named() {
         ),
         (format!("00.png {TERMS},q9 -o camera.toml"), "no parameter \"q9\""),
         (format!("{TERMS} {corners} nan.csv"), "u_px is"),
-        (format!("{TERMS} {corners} short.csv"), "line 505: expected 5 columns, found 4"),
+        (
+            format!("{TERMS} {corners} short.csv"),
+            "line 505: expected 5 columns as in the header, found 4",
+        ),
         (format!("{TERMS} {corners} outside.csv"), "outside the photo of 640 x 480"),
         (format!("{TERMS} {corners} one.csv"), "1 of 1 photos can be used"),
         (format!("{TERMS} -o camera.toml --corners corners.csv"), "or size_px (width, height)"),

@@ -229,7 +229,7 @@ impl Coordinates {
             Some((east, north)) => [east, north],
             None => {
                 let found = table.header().join(", ");
-                return Err(table.whole_fault(format!(
+                return Err(table.header_fault(format!(
                     "no columns for the coordinates: expected easting_m and northing_m, or latitude_deg and longitude_deg, found {found}"
                 )));
             }

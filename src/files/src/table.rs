@@ -254,8 +254,13 @@ impl Table {
                 names.join(" or "),
                 self.header.join(", ")
             );
-            FileError::malformed(&self.path, 1, message)
+            self.header_fault(message)
         })
+    }
+
+    /// An error of the header.
+    pub(super) fn header_fault(&self, message: String) -> FileError {
+        FileError::malformed(&self.path, 1, message)
     }
 
     /// Refuses a header with two columns of one of these names.
@@ -266,7 +271,7 @@ impl Table {
         match names.iter().find(is_twice) {
             Some(name) => {
                 let message = format!("the header names {name} twice");
-                Err(FileError::malformed(&self.path, 1, message))
+                Err(self.header_fault(message))
             }
             None => Ok(()),
         }
