@@ -20,7 +20,7 @@
 
 use rayon::prelude::*;
 use rowgram_raster::Mask;
-use std::ops::Range;
+use std::{f64::consts::FRAC_2_PI, ops::Range};
 
 /// Scale of the gradient, in reduced pixels.
 const GRADIENT_PX: f64 = 0.7;
@@ -182,8 +182,9 @@ impl LeafAxes {
     pub(super) const REACH: usize = REACH_PX;
 }
 
-/// Width of the strokes from the middle length of their runs, along rows and columns: a line that crosses a strip in any direction is in it
-/// for at most `2 / sqrt(3)` of its width in half of all cases. Where leaves have grown together there is much area, but not many runs.
+/// Width of the strokes from the lengths of their runs, along rows and columns. A line that crosses a strip of width `w` in any direction is in
+/// it for `pi w / 2` on average, and for at most `2 w / sqrt(3)` in half of all cases. Where leaves have grown together the mean says too much, where plants
+/// are round the median does, so the smaller one counts.
 fn stroke_px(mask: &Mask) -> f64 {
     let mut runs = vec![0_u64; LONGEST_RUN + 1];
     let mut end = |length: &mut usize| {
@@ -204,16 +205,17 @@ fn stroke_px(mask: &Mask) -> f64 {
         end(&mut along);
     }
     columns.iter_mut().for_each(end);
-    let half = 0.5 * runs.iter().sum::<u64>() as f64;
+    let number = runs.iter().sum::<u64>() as f64;
     let mut before = 0.0;
-    for (length, &number) in runs.iter().enumerate() {
-        let number = number as f64;
-        if number > 0.0 && before + number >= half {
+    for (length, &of_length) in runs.iter().enumerate() {
+        let of_length = of_length as f64;
+        if of_length > 0.0 && before + of_length >= 0.5 * number {
             // Runs of a length are spread over half a pixel to either side.
-            let middle = length as f64 - 0.5 + (half - before) / number;
-            return middle * 3.0_f64.sqrt() / 2.0;
+            let median = length as f64 - 0.5 + (0.5 * number - before) / of_length;
+            let mean = 2.0 * mask.count() as f64 / number;
+            return f64::min(FRAC_2_PI * mean, 0.5 * 3.0_f64.sqrt() * median);
         }
-        before += number;
+        before += of_length;
     }
     0.0
 }
