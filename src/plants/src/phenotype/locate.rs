@@ -1,7 +1,7 @@
-//! From leaf pixels to plants: rows, a start, the descent.
+//! From leaf pixels and rows to plants: a start, the descent.
 //!
-//! [`Setup::new`] finds the rows, poses the problem ([`crate::problems::plants`]) and starts it;
-//! whoever drives the engine moves `field`; [`Setup::finish`] reads the plants off. [`locate`] does
+//! [`Setup::new`] poses the problem ([`crate::problems::plants`]) with the rows that were found and starts it;
+//! whoever drives the engine moves `field`; [`Setup::finish`] reads the plants off. [`locate_best`] does
 //! all three.
 //!
 //! Positions in pixels, centre of the top-left pixel at (0, 0).
