@@ -69,7 +69,7 @@ fn measure(name: &str, views: &[View], request: &Request) {
     let found = statistics(views, request, &solution).unwrap();
     println!(
         "{name}: {} photos, {} corners, rms {:.4} px; adjustment {:.2} ms (least {:.2}), {} iterations \
-         from the searched start; search of the start {:.1} ms",
+         from the start found; search {:.1} ms, together {:.1} ms",
         views.len(),
         views.iter().map(|view| view.marks.len()).sum::<usize>(),
         found.rms_px,
@@ -77,6 +77,7 @@ fn measure(name: &str, views: &[View], request: &Request) {
         from_start.0,
         solution.iterations,
         whole.1,
+        whole.1 + from_start.1,
     );
 }
 

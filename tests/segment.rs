@@ -195,7 +195,7 @@ fn a_noisy_photo_is_called_noisy() {
     let folder = tempfile::tempdir().unwrap();
     let mut photo = noisy(180, 120, is_plant);
     photo.save(folder.path().join("usual.png")).unwrap();
-    // The noise of `noisy` six times as strong: bits of a product are as good as random.
+    // Noise six times as strong as that of `noisy`: bits of a product are as good as random.
     for (u, v, pixel) in photo.enumerate_pixels_mut() {
         let noise = (u.wrapping_mul(2_246_822_519) ^ v.wrapping_mul(3_266_489_917)) >> 9;
         for (k, value) in pixel.0.iter_mut().enumerate() {

@@ -7,8 +7,8 @@ Needs opencv-python and numpy:
 The file has `pattern` ([columns, rows]), `size` ([width, height]) and `corners` (for each photo a
 list of [u, v], row by row, the centre of the top-left pixel at (0, 0)). OpenCV's time is that of
 calibrateCamera with its own start, for five terms (k1, k2, p1, p2, k3) and for the rational model;
-ours is printed by the bench: the adjustment from a start by homographies, and apart from it the
-search for that start.
+ours is printed by the bench: the search for a start, which ends with an adjustment, the adjustment
+from there, and their sum, which is what compares with OpenCV's.
 """
 
 import csv

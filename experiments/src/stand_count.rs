@@ -50,6 +50,7 @@ fn true_gaps(field: &RowsToCount) -> Gaps {
     let middle = sorted.get(sorted.len() / 2).map_or(field.spacing, |&gap| gap as f64 * STEP);
     let mut numbers = vec![0.0; sorted.last().map_or(0, |longest| longest + 1)];
     steps().for_each(|gap| numbers[gap] += 1.0);
+    let numbers = [numbers];
     (0..ROUNDS_OF_TRUTH).fold(Gaps::new(middle), |gaps, _| gaps.refit(&numbers))
 }
 
@@ -213,12 +214,9 @@ fn weights(
         .map(|field| {
             let mut gaps = Gaps::new(field.spacing);
             for _ in 0..args.rounds {
-                let mut expected: Vec<f64> = Vec::new();
-                for (row, _) in usable(field, &gaps) {
-                    let gaps = Lattice::new(&row, &weights).gaps();
-                    expected.resize(expected.len().max(gaps.len()), 0.0);
-                    expected.iter_mut().zip(gaps).for_each(|(sum, number)| *sum += number);
-                }
+                let rows = usable(field, &gaps);
+                let expected: Vec<Vec<f64>> =
+                    rows.iter().map(|(row, _)| Lattice::new(row, &weights).gaps()).collect();
                 gaps = gaps.refit(&expected);
             }
             gaps

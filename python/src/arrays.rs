@@ -75,7 +75,7 @@ fn mask(given: &Bound<'_, PyAny>) -> PyResult<Mask> {
     Ok(make(view.nrows(), view.ncols(), view.iter().map(|&leaf| (leaf != 0).into()).collect()))
 }
 
-/// What NumPy makes an array of this type of, with any number of axes; `None` where it is none.
+/// `numpy.asarray(given, kind)`, with any number of axes; `None` where it is no array of this type.
 pub(crate) fn array<'py, T: numpy::Element>(
     given: &Bound<'py, PyAny>,
     kind: &str,

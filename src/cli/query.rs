@@ -37,7 +37,7 @@ pub(super) struct Args {
     /// With --at: every photo in whose frame the place lies, the steepest view first.
     #[arg(long, conflicts_with = "photo")]
     every_photo: bool,
-    /// A photo, with --pixel: gives the place.
+    /// A photo, with --pixel: gives the place. By name with or without ending; with its folder where several photos share the name.
     #[arg(long, value_name = "NAME", requires = "pixel")]
     photo: Option<String>,
     /// Column and row in the photo.

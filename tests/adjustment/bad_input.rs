@@ -107,5 +107,8 @@ fn a_turn_while_a_photo_is_read_is_refused() {
     assert!(validate(&survey).is_ok());
     survey.images[1].motion[2] = 0.01;
     let message = validate(&survey).unwrap_err().to_string();
-    assert!(message.contains("image IMG_0002.JPG: it turns while it is read"), "{message}");
+    assert!(
+        message.contains("image IMG_0002.JPG: its motion has a rotation during readout"),
+        "{message}"
+    );
 }

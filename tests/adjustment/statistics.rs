@@ -383,7 +383,7 @@ fn a_stalled_adjustment_has_not_converged() {
 }
 
 #[test]
-fn a_limit_of_few_iterations_is_reached() {
+fn a_limit_of_ten_iterations_allows_more_than_one() {
     let survey = measured(&with_positions(truth(&Plan::default())), 92, NOISE);
     let settings = Settings { max_iterations: 10, ..Settings::default() };
     let adjusted = adjust(&mut survey.clone(), &settings).unwrap();

@@ -134,13 +134,9 @@ impl Stage for BundleBlock {
                     let problem = pose(&adjusted)?.problem;
                     let charted = charted(problem, adjusted.cameras.len(), loss);
                     let flat = FlatProblem::new(Arc::new(charted), Limits::NONE)?;
-                    let ended = contestants::race(
-                        who,
-                        flat.clone(),
-                        flat.origin(),
-                        p.max_iterations,
-                        2 * flat.origin().len() as u64,
-                    );
+                    let (start, most) = (flat.origin(), p.max_iterations);
+                    let products = 2 * start.len() as u64;
+                    let ended = contestants::race(who, flat.clone(), start, most, products);
                     let noted = flat.noted.lock().map_err(|_| "a solver failed".to_owned())?;
                     // Solvers that give up with an error have come as far as they have.
                     if let (Err(error), true) = (ended, noted.passes == 0.0) {

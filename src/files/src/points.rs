@@ -29,7 +29,7 @@ pub fn read(path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
                 let message = format!(
                     "expected a header with u_px,v_px or x,y, or two numbers, found {found:?}"
                 );
-                FileError::malformed(path, 1, message)
+                table.header_fault(message)
             })?;
         table.refuse_twice(names)?;
         [u, v]
@@ -139,6 +139,7 @@ mod tests {
         insta::assert_snapshot!(fault("a,b\n1,2\n").1, @r#"expected a header with u_px,v_px or x,y, or two numbers, found "a,b""#);
         insta::assert_snapshot!(fault("1,2,3\n").1, @"expected two columns, found 3; more of them need a header with u_px,v_px or x,y");
         insta::assert_snapshot!(fault("x,y,x\n").1, @"the header names x twice");
+        assert_eq!(fault("\n\nx,y,x\n").0, 3);
         for nothing in ["", "\n\r\n", "\u{feff}", "  \n"] {
             assert!(fault(nothing).1.contains("is empty"), "{nothing:?}");
         }

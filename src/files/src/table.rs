@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 pub(super) struct Table {
     path: PathBuf,
     header: Vec<String>,
+    header_line: usize,
     named: bool,
     preamble: Vec<String>,
     text: String,
@@ -94,6 +95,7 @@ impl Table {
         let mut table = Table {
             path: path.to_owned(),
             header: Vec::new(),
+            header_line: 1,
             named: true,
             preamble: Vec::new(),
             text: String::new(),
@@ -144,6 +146,7 @@ impl Table {
                     self.named =
                         has_header || fields.iter().all(|field| separator.number(field).is_none());
                     if self.named {
+                        self.header_line = line;
                         self.header =
                             fields.iter().map(|field| of_cell(field).to_owned()).collect();
                         return true;
@@ -260,7 +263,7 @@ impl Table {
 
     /// An error of the header.
     pub(super) fn header_fault(&self, message: String) -> FileError {
-        FileError::malformed(&self.path, 1, message)
+        FileError::malformed(&self.path, self.header_line, message)
     }
 
     /// Refuses a header with two columns of one of these names.

@@ -1,4 +1,4 @@
-//! A test for each example, and one that none is left out or long; those after `except` are run elsewhere.
+//! A test that runs each listed example, and one that every example is listed and short. Examples after `except` are run elsewhere.
 
 macro_rules! examples {
     (except [$($other:literal),*] $($name:ident: $path:literal),+ $(,)?) => {

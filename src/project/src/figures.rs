@@ -131,6 +131,7 @@ pub(super) fn correlation<N: AsRef<str>>(
     names: &[N],
     matrix: &[Vec<f64>],
 ) -> Drawn {
+    /// Side of a cell, and room for the names, in pixels of the picture.
     const CELL: i32 = 52;
     const EDGE: i32 = 70;
     let count = names.len() as i32;

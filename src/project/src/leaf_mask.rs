@@ -17,7 +17,8 @@ use rowgram_raster::{
     mask::Thresholds,
     spectral::{Formula, Index},
     vegetation::{
-        self, Classified, Coherence, Estimate, Estimator, Model, Seen, VegetationError,
+        self, Classified, Coherence, Estimate, Estimator, Model, Seen, USUAL_SMOOTHING_PX,
+        VegetationError,
         nothing::{Surround, SurroundFinder},
     },
     window::{self, Band, Window},
@@ -163,11 +164,11 @@ pub(super) fn photo(source: Source, path: &Path) -> Result<Source, FileError> {
 
 /// Says where the colours of a photo are so noisy that they are smoothed farther than those of usual photos.
 fn tell_of_noise(model: &Model, image: &Path, monitor: &mut dyn Monitor) {
-    let width = 2 * model.smoothing_px + 1;
-    if width > USUAL_WIDTH {
+    if model.smoothing_px > USUAL_SMOOTHING_PX {
+        let [width, usual] = [model.smoothing_px, USUAL_SMOOTHING_PX].map(|px| 2 * px + 1);
         let message = format!(
             "colours are noisy: they are smoothed over {width} x {width} pixels before leaves are told from ground, instead of \
-             {USUAL_WIDTH} x {USUAL_WIDTH}. Small leaves may be lost and specks of noise may be taken for leaves"
+             {usual} x {usual}. Small leaves may be lost and specks of noise may be taken for leaves"
         );
         let found = Diagnostic::warning("photo-noisy", image.display().to_string(), message);
         monitor.diagnostic(&found.with_remedy(
@@ -175,9 +176,6 @@ fn tell_of_noise(model: &Model, image: &Path, monitor: &mut dyn Monitor) {
         ));
     }
 }
-
-/// Pixels to a side over which the colours of usual photos are smoothed.
-const USUAL_WIDTH: usize = 3;
 
 /// What says where leaves are in a photo, which is then segmented band by band.
 pub(super) struct Segmenter<'a> {

@@ -70,7 +70,7 @@ pub(super) fn refuse_twins<'a>(
         if let Some(other) = taken.insert(output, photo) {
             let [other, photo, output] = [other, photo, output].map(Path::display);
             return Err(Error::Argument(format!(
-                "{other} and {photo} would both become {output}; give them in two calls"
+                "{other} and {photo} would both become {output}; give them in two calls with folders of their own"
             )));
         }
     }

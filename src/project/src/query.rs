@@ -310,7 +310,7 @@ impl OrthophotoOrigins {
     /// The place of a pixel of a photo, named with or without its ending.
     ///
     /// # Errors
-    /// A photo that nobody knows or that is not named alone, a pixel that does not show the surface.
+    /// A name of no photo or of several, a pixel that does not show the surface.
     pub fn map_position(&self, image: &str, image_px: [f64; 2]) -> Result<MapPosition, Error> {
         let k = number_of(self.views.iter().map(|view| view.name.as_str()), image)
             .map_err(|why| self.fault(why))?;

@@ -348,7 +348,7 @@ fn code_of_text(text: &str) -> Option<u32> {
     words.next()?.parse().ok()
 }
 
-/// The EPSG code of a text of a UTM zone as Esri names it, `PROJCS["WGS_1984_UTM_Zone_16N",...`.
+/// The EPSG code of a text named after a UTM zone and its datum: `PROJCS["WGS_1984_UTM_Zone_16N",...` (Esri), `PROJCS["WGS 84 / UTM zone 16N",...`.
 fn code_of_zone(text: &str) -> Option<u32> {
     let name = text.split('"').nth(1)?.replace('_', " ");
     // Without a datum in its name it may be any.

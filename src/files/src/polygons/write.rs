@@ -13,7 +13,7 @@ use shapefile::{
 };
 use std::{collections::BTreeSet, io::Cursor, path::Path};
 
-/// A plot to be written.
+/// A plot, region or panel to be written; its name is the property `plot`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outline {
     /// Its name.

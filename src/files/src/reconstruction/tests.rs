@@ -128,13 +128,21 @@ fn what_is_written_is_read_back_to_the_last_bit() {
             scene.images[1].pose.translation.map(f64::to_bits)
         );
     }
-    // A shutter may come with a standard deviation of its turn.
+    // Files may have a standard deviation of the rotation during readout, which must be 0.
     let json = folder.path().join(NAME);
     let text = std::fs::read_to_string(&json).unwrap();
     let with_rate = text.replacen("\"readout_s\"", "\"sigma_rate_rad_s\": 0.0, \"readout_s\"", 1);
     assert_ne!(with_rate, text);
-    std::fs::write(&json, with_rate).unwrap();
+    std::fs::write(&json, &with_rate).unwrap();
     assert_eq!(read(&json).unwrap().rolling_shutter, scene().rolling_shutter);
+    for (key, expected) in [
+        ("\"sigma_rate_rad_s\": 0.1,", "sigma_rate_rad_s is 0.1, expected 0"),
+        ("\"sigma_rate\": 0.0,", "unknown field `sigma_rate`"),
+    ] {
+        std::fs::write(&json, with_rate.replace("\"sigma_rate_rad_s\": 0.0,", key)).unwrap();
+        let error = read(&json).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
     let error = write(folder.path(), &scene(), false).unwrap_err().to_string();
     assert!(error.contains("reconstruction.json exists already"), "{error}");
 }

@@ -14,7 +14,7 @@ use std::{
 
 /// Where a run stands after a step.
 ///
-/// Whoever is shown one sees and never steers. To end a run from there, raise the flag that was given to
+/// Observers cannot change a run. To end it, they raise the flag that was given to
 /// [`Drive::interrupt`](super::Drive::interrupt).
 #[derive(Debug)]
 #[non_exhaustive]
@@ -35,7 +35,7 @@ pub struct Event<'e, X> {
     pub file_error: Option<&'e FileError>,
 }
 
-/// Somebody who is shown every step.
+/// A closure that is called after every step.
 pub(super) type Observer<'a, X> = Box<dyn FnMut(&Event<'_, X>) + 'a>;
 
 /// A run in progress.
@@ -55,7 +55,7 @@ pub(super) struct RunState<'a, X> {
 }
 
 impl<X> RunState<'_, X> {
-    /// A run that is here, without limits and unobserved.
+    /// A run that has come as far as `at`, without limits and unobserved.
     pub(super) fn new(began: Instant, at: Progress<X>) -> Self {
         let mut run = RunState {
             error: None,

@@ -413,7 +413,7 @@ mod tests {
 
     #[test]
     fn strokes_that_grow_together_are_not_broader() {
-        // Strips of 6 pixels in nine directions, without and with solid leaf where every third of them was.
+        // Strips of 6 pixels in nine directions, without and with a third of the picture solid leaf.
         for solid in [false, true] {
             let mask = Mask::from_fn(9 * 120, 360, |u, v| {
                 let block = u / 120;

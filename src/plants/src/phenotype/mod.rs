@@ -5,7 +5,7 @@
 //! | where are the rows? | [`rows`] (heading, straight rows), [`row_curves`] (as they bend), [`perspective`] (tilted photos) |
 //! | where are the plants? | [`locator`] (all methods), [`row_model`] (the default), [`locate`] (the paper's clustering and its variants) |
 //! | what does the row model rest on? | [`evidence`] (votes along leaf axes), [`isolated_plants`], [`plant_spacing`], [`double_plants`], [`dynamic_programming`], [`tilt`] |
-//! | how many plants are there? | [`stand_count`], [`stand`], [`plant_mass`] |
+//! | how many plants are there? | [`stand_count`] (of [`rows_to_count`]), [`stand`], [`plant_mass`] |
 //! | how many leaves, and which? | [`leaf_count`] (from area), [`leaves`] (one by one), [`broad_leaves`] |
 //! | what has each plot? | [`traits`] (what there is), [`plots`] (measured), [`plot_scatter`] (standard deviations), [`colour_indices`] |
 //!

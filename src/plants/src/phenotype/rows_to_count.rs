@@ -6,7 +6,7 @@ use super::{
 };
 use rowgram_raster::Mask;
 
-/// Plants within this share of the distance of rows belong to a row.
+/// Plants farther from their row than this share of the distance of rows belong to none: at half of it they could be of the next one.
 const NEAR_ROW: f64 = 0.45;
 
 /// Everything that is known of the rows when their plants are counted, and a first spacing.

@@ -157,7 +157,7 @@ pub fn forget(project: &Project, from: Step) -> Result<(), Error> {
     Ok(())
 }
 
-/// What was found up to a step, and with a folder, into which it is written, what came of it.
+/// Runs the steps up to `last`. With a folder, the results are written into it, and the outcome is returned as well.
 fn run(
     project: &Project,
     options: &AlignOptions,

@@ -40,7 +40,7 @@ rowgram_base::options! {
         /// The surface: a GeoTIFF of heights in the mapping frame. Where not set, that of the tie points, and of the dense
         /// surface where tie points are missing.
         pub dem: Option<PathBuf> = None, example "\"terrain.tif\"";
-        /// Use only these photos, by name; all where empty.
+        /// Use only these photos, by name with or without ending; one whose name several photos share with its folder. All where empty.
         pub only: Vec<String> = Vec::new();
         /// The largest angle between line of sight and vertical.
         pub max_angle_deg: Option<f64> = None, limits between(0.1, 89.9), example "30.0";

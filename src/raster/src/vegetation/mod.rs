@@ -24,7 +24,7 @@ mod white_balance;
 
 pub use coherence::Coherence;
 pub use estimate::{Classified, Estimate, Estimator, Seen};
-pub use model::Model;
+pub use model::{Model, USUAL_SMOOTHING_PX};
 
 use super::{Mask, window::Band};
 use image::RgbImage;

@@ -80,9 +80,11 @@ fn neutral() -> [f64; 3] {
     [1.0; 3]
 }
 
-/// Over 3 x 3 pixels: so photos are smoothed before their classes are estimated.
+/// Pixels to either side over which the colours of usual photos are smoothed, and of all photos before their classes are estimated.
+pub const USUAL_SMOOTHING_PX: usize = 1;
+
 pub(super) fn usual_smoothing() -> usize {
-    1
+    USUAL_SMOOTHING_PX
 }
 
 /// A smoothed pixel: its place in -1..1, greenness, yellowness.

@@ -133,13 +133,38 @@ pub struct ScaleBar {
     pub sigma_m: f64,
 }
 
-/// A shutter that reads the rows one after the other. In files there may be a `sigma_rate_rad_s` of 0 beside these.
+/// A shutter that reads the rows one after the other. Files may have a `sigma_rate_rad_s` of 0 beside these.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "StoredShutter")]
 pub struct RollingShutter {
     /// Time from the first to the last row, seconds.
     pub readout_s: f64,
     /// Standard deviation of each component of the velocity about the expected one, metres per second.
     pub sigma_velocity_m_s: f64,
+}
+
+/// [`RollingShutter`] as files have it.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StoredShutter {
+    readout_s: f64,
+    sigma_velocity_m_s: f64,
+    #[serde(default)]
+    sigma_rate_rad_s: f64,
+}
+
+impl TryFrom<StoredShutter> for RollingShutter {
+    type Error = String;
+
+    fn try_from(stored: StoredShutter) -> Result<RollingShutter, String> {
+        let StoredShutter { readout_s, sigma_velocity_m_s, sigma_rate_rad_s: rate } = stored;
+        match rate == 0.0 {
+            true => Ok(RollingShutter { readout_s, sigma_velocity_m_s }),
+            false => Err(format!(
+                "sigma_rate_rad_s is {rate}, expected 0: the rotation of photos during readout is not estimated"
+            )),
+        }
+    }
 }
 
 /// A block of images and everything measured in and about it. Lengths in metres in the mapping

@@ -50,7 +50,7 @@ impl From<&LocalPlane> for HorizontalFrame {
     }
 }
 
-/// That of a reconstruction in metres: with its codes, as far as it has any.
+/// The system of the maps of a reconstruction, in metres: by its EPSG code, else by its PROJ string; a frame of its own without either.
 impl From<&ReferenceFrame> for georeference::Crs {
     fn from(reference: &ReferenceFrame) -> georeference::Crs {
         let horizontal = match &reference.horizontal {

@@ -23,18 +23,18 @@ use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use rowgram_optim::robust::sigma_of_errors;
 
-/// Pairs with more matches than this need no help.
-const ENOUGH: usize = 150;
+/// Pairs with as many matches are not matched again.
+const WEAK_PAIR_MATCHES: usize = 150;
 /// Distance from its piece of line up to which a feature may match, pixels, in each round.
 const TOLERANCES_PX: [f64; 2] = [12.0, 6.0];
 /// Distance up to which features compete, pixels.
 pub(super) const CONTEXT_PX: f64 = 40.0;
 /// Largest distance of descriptors relative to that of the next competitor.
-const RATIO: f64 = 0.8;
+const MAX_DISTANCE_RATIO: f64 = 0.8;
 /// Largest distance of two descriptors, their length taken as 1.
 const MAX_DISTANCE: f64 = 0.8;
-/// The least and the greatest half length of a piece, as a share of the depth.
-const SLACK: [f64; 2] = [0.03, 0.25];
+/// The least and the greatest half length of the piece of an epipolar line that is searched, as a share of the depth.
+const HALF_LENGTHS: [f64; 2] = [0.03, 0.25];
 /// Features of one feature's surroundings that are the same again, pixels: one place with two orientations.
 pub(super) const SAME_PX: f64 = 2.0;
 /// Side of a bucket, in distances up to which features compete.
@@ -300,7 +300,7 @@ pub(super) fn compete(
             // Alone, it must be like its partner as such.
             .unwrap_or(most as u32);
         let square = f64::from(apart);
-        if square <= most && square < RATIO * RATIO * f64::from(next) {
+        if square <= most && square < MAX_DISTANCE_RATIO * MAX_DISTANCE_RATIO * f64::from(next) {
             chosen.push([index as u32, best]);
         }
     }
@@ -322,7 +322,7 @@ pub fn rematch_weak_pairs(
     in_parts(pairs, |pair| {
         let mut best = pair.clone();
         for tolerance_px in TOLERANCES_PX {
-            if best.matches.len() >= ENOUGH {
+            if best.matches.len() >= WEAK_PAIR_MATCHES {
                 break;
             }
             let of = best.images.map(|k| k as usize);
@@ -336,7 +336,7 @@ pub fn rematch_weak_pairs(
                     Some(Correspondence { first, second: all[of[1]][*b as usize]? })
                 })
                 .collect();
-            let Some(ground) = Ground::of(&best.pose, &right, SLACK) else { break };
+            let Some(ground) = Ground::of(&best.pose, &right, HALF_LENGTHS) else { break };
             let seen = [0, 1].map(|k| Seen { rays: &all[of[k]], descriptors: &looks[k] });
             let mut matches = rematch(seen, &best.pose, &ground, c, tolerance_px);
             join(&mut matches, &best.matches);
@@ -434,7 +434,7 @@ mod tests {
                 second: rays[1][17 * k].unwrap(),
             })
             .collect();
-        let ground = Ground::of(&pose, &few, SLACK).unwrap();
+        let ground = Ground::of(&pose, &few, HALF_LENGTHS).unwrap();
         assert!((ground.plane[0] - 0.4).abs() < 0.01, "{ground:?}");
         assert!(ground.slack <= 0.1, "{ground:?}");
         let seen = [0, 1].map(|k| Seen { rays: &rays[k], descriptors: &looks[k] });
@@ -453,7 +453,7 @@ mod tests {
     #[test]
     fn nothing_to_see_gives_nothing() {
         let (rays, looks, pose) = crop(40);
-        assert_eq!(Ground::of(&pose, &[], SLACK), None);
+        assert_eq!(Ground::of(&pose, &[], HALF_LENGTHS), None);
         let ground = Ground { plane: [0.4, 0.0, 0.0], slack: 0.1 };
         let none = Descriptors::default();
         let (empty, blind) = (Vec::new(), vec![None; 40]);

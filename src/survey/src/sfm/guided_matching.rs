@@ -23,7 +23,7 @@ use rowgram_optim::geometry::rotation;
 /// Distance from its piece of line up to which a feature may match, pixels.
 const TOLERANCE_PX: f64 = 4.0;
 /// A pair overlaps where it shows at least this share of a photo's points together.
-const OVERLAP: f64 = 0.2;
+const MIN_OVERLAP: f64 = 0.2;
 /// Cells along each side of a photo in which its depths are gathered.
 const CELLS: usize = 8;
 /// Fewer points than this around a cell do not tell its depths.
@@ -145,7 +145,7 @@ fn overlapping(block: &Block<'_>, surfaces: &[Option<Surface>]) -> Vec<[u32; 2]>
                     let (Some(first), Some(second)) = (&surfaces[a], &surfaces[b]) else {
                         return false;
                     };
-                    share(first, b).min(share(second, a)) >= OVERLAP
+                    share(first, b).min(share(second, a)) >= MIN_OVERLAP
                 })
                 .map(move |b| [a as u32, b as u32])
         })

@@ -23,9 +23,9 @@ use crate::features::least_squares::HALF;
 use rayon::prelude::*;
 
 /// Up to which distance two places are the same, pixels.
-const PLACE_PX: f64 = 1.5;
-/// Further rays add little to a point that has as many: its standard deviation falls with their root, and every one takes time in
-/// all adjustments to come.
+const SAME_PLACE_PX: f64 = 1.5;
+/// Rays of a point from which on further photos are not searched. Further rays add little, the standard deviation falls with the root of
+/// their number, and each takes time in all adjustments to come.
 pub const MAX_RAYS: usize = 6;
 /// Images that share fewer points are no neighbours.
 const MIN_SHARED: u32 = 10;
@@ -56,9 +56,9 @@ struct InImage {
     sought: Vec<(u32, [f64; 2])>,
 }
 
-/// The members of a block that belong to points, as tracks that are joined and reach into further photos; with `most_rays` a
-/// point is not looked for any further.
-pub fn lengthen(block: &Block<'_>, most_rays: usize) -> LongerTracks {
+/// The members of a block that belong to points, as tracks that are joined and reach into further photos; a point with
+/// `max_rays` rays or more is not searched for in further photos.
+pub fn lengthen(block: &Block<'_>, max_rays: usize) -> LongerTracks {
     let images = 0..block.poses.len();
     let found: Vec<InImage> = images.into_par_iter().map(|image| look_into(block, image)).collect();
     let mut same: Vec<(f64, [u32; 2])> =
@@ -89,7 +89,7 @@ pub fn lengthen(block: &Block<'_>, most_rays: usize) -> LongerTracks {
     let mut predicted = 0;
     for (track, places) in sought.iter().enumerate() {
         let Some(head) = heads[track] else { continue };
-        let wanted = most_rays.saturating_sub(used(block, track).count());
+        let wanted = max_rays.saturating_sub(used(block, track).count());
         for &(image, at) in evenly(places, wanted) {
             predicted += 1;
             let feature = features[image].positions_px.len() as u32;
@@ -196,7 +196,7 @@ fn look_into(block: &Block<'_>, image: usize) -> InImage {
         .collect();
     let places: Vec<Option<Ray>> =
         own.iter().map(|&(_, place)| Some(block.position_px(place))).collect();
-    let buckets = Buckets::new(&places, BUCKET * PLACE_PX);
+    let buckets = Buckets::new(&places, BUCKET * SAME_PLACE_PX);
     let [width, height] = block.lens(image).size_px().map(f64::from);
     let inside = |[u, v]: [f64; 2]| {
         u >= EDGE_PX && v >= EDGE_PX && u <= width - 1.0 - EDGE_PX && v <= height - 1.0 - EDGE_PX
@@ -205,9 +205,9 @@ fn look_into(block: &Block<'_>, image: usize) -> InImage {
         let Some(point) = block.points[track as usize] else { continue };
         let Some(at) = seen_at(block, image, point).filter(|&at| inside(at)) else { continue };
         let mut is_there = false;
-        buckets.near([at, at], PLACE_PX, |k| {
+        buckets.near([at, at], SAME_PLACE_PX, |k| {
             let (other, place) = own[k as usize];
-            if apart(at, block.position_px(place)) <= PLACE_PX {
+            if apart(at, block.position_px(place)) <= SAME_PLACE_PX {
                 is_there = true;
                 let two = [track.min(other), track.max(other)];
                 found.same.extend(distance(block, two).map(|d| (d, two)));
@@ -240,5 +240,5 @@ fn distance(block: &Block<'_>, [a, b]: [u32; 2]) -> Option<f64> {
             farthest = farthest.max(apart(at, block.position_px(place)));
         }
     }
-    (farthest <= PLACE_PX).then_some(farthest)
+    (farthest <= SAME_PLACE_PX).then_some(farthest)
 }

@@ -22,15 +22,15 @@ use rayon::prelude::*;
 use rowgram_optim::geometry::rotation;
 use std::collections::BTreeMap;
 
-/// The least correlation of grey values of what counts as found.
+/// Least correlation of grey values of a match that is accepted.
 const MIN_CORRELATION: f64 = 0.7;
-/// The farthest that it may be from the key point, pixels.
-const FARTHEST_PX: f64 = 1.5;
+/// Largest distance of such a match from its key point, pixels.
+const MAX_SHIFT_PX: f64 = 1.5;
 
-fn is_found(found: &Match, start: &Warp) -> bool {
+fn is_accepted(found: &Match, start: &Warp) -> bool {
     let off = [0, 1].map(|k| found.warp.at_px[k] - start.at_px[k]);
     let far = (off[0] * off[0] + off[1] * off[1]).sqrt();
-    found.correlation >= MIN_CORRELATION && far <= FARTHEST_PX
+    found.correlation >= MIN_CORRELATION && far <= MAX_SHIFT_PX
 }
 
 /// Where the photos have their points.
@@ -125,7 +125,7 @@ pub fn refine_tie_points<E: Send>(
                 continue;
             };
             let matched = template.find(&first.window, &picture, start);
-            match matched.filter(|matched| is_found(matched, &start)) {
+            match matched.filter(|matched| is_accepted(matched, &start)) {
                 Some(matched) => found.push(Found { track, place, at_px: matched.warp.at_px }),
                 None => missed.push(Found { track, place, at_px: start.at_px }),
             }

@@ -6,7 +6,7 @@
 //!
 //! by Lloyd's descent, started from quantiles along the longest axis of the component.
 
-use crate::phenotype::principal_axis::{main_axis_rad, middle};
+use crate::phenotype::principal_axis::{main_axis_rad, middle as middle_of};
 use rowgram_raster::components::{Part, Run};
 
 /// Most pixels that the descent looks at; larger components are thinned.
@@ -18,7 +18,7 @@ pub fn split(part: &Part, plants: usize) -> Vec<[f64; 2]> {
     let places = part.runs.iter().flat_map(Run::places);
     let pixels: Vec<[f64; 2]> = places.step_by(step).collect();
     let plants = plants.min(pixels.len());
-    let middle = middle(pixels.iter().copied());
+    let middle = middle_of(pixels.iter().copied());
     if plants <= 1 {
         return vec![middle; plants];
     }
@@ -27,7 +27,8 @@ pub fn split(part: &Part, plants: usize) -> Vec<[f64; 2]> {
     let mut sorted = pixels.clone();
     sorted.sort_by(|a, b| along(a).total_cmp(&along(b)));
     let group = |p: usize| p * sorted.len() / plants..(p + 1) * sorted.len() / plants;
-    let mut centres: Vec<[f64; 2]> = (0..plants).filter_map(|p| mean(&sorted[group(p)])).collect();
+    let mut centres: Vec<[f64; 2]> =
+        (0..plants).map(|p| middle_of(sorted[group(p)].iter().copied())).collect();
     for _ in 0..30 {
         let mut sums = vec![[0.0; 3]; centres.len()];
         for z in &pixels {
@@ -52,12 +53,6 @@ fn nearest(centres: &[[f64; 2]], z: &[f64; 2]) -> usize {
     let squared = |c: &[f64; 2]| (c[0] - z[0]).powi(2) + (c[1] - z[1]).powi(2);
     let closer = |best, p| if squared(&centres[p]) < squared(&centres[best]) { p } else { best };
     (1..centres.len()).fold(0, closer)
-}
-
-fn mean(pixels: &[[f64; 2]]) -> Option<[f64; 2]> {
-    let [u, v] = pixels.iter().fold([0.0; 2], |sum, z| [sum[0] + z[0], sum[1] + z[1]]);
-    let number = pixels.len() as f64;
-    (number > 0.0).then(|| [u / number, v / number])
 }
 
 #[cfg(test)]

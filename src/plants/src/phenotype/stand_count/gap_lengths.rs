@@ -54,8 +54,12 @@ impl Gaps {
         singles + self.double(gap) + 1e-5 / self.spacing
     }
 
-    /// Re-estimates everything from how many gaps of each length (in steps) are expected.
-    pub fn refit(&self, expected: &[f64]) -> Gaps {
+    /// Re-estimates everything from how many gaps of each length (in steps) are expected in each row.
+    pub fn refit(&self, rows: &[Vec<f64>]) -> Gaps {
+        let mut expected = vec![0.0; rows.iter().map(Vec::len).max().unwrap_or(0)];
+        for row in rows {
+            expected.iter_mut().zip(row).for_each(|(sum, number)| *sum += number);
+        }
         let (mut length, mut places, mut kinds) = (0.0, 0.0, 0.0);
         let (mut doubles, mut all) = (0.0, 0.0);
         let mut shares = Vec::new();
@@ -104,12 +108,12 @@ mod tests {
         }
         let mut gaps = Gaps { spacing: 18.5, jitter: 0.16, missing: 0.05, doubles: 0.03 };
         for _ in 0..5 {
-            gaps = gaps.refit(&expected);
+            gaps = gaps.refit(&[expected.clone()]);
         }
         assert!((gaps.spacing - 20.0).abs() < 0.1, "{gaps:?}");
         assert!((gaps.missing - 0.08).abs() < 0.02, "{gaps:?}");
         assert!((gaps.jitter - 0.07).abs() < 0.02, "{gaps:?}");
         let few = Gaps::new(3.0);
-        assert_eq!(few.refit(&[0.0; 9]), few);
+        assert_eq!(few.refit(&[vec![0.0; 9]]), few);
     }
 }

@@ -222,11 +222,7 @@ pub fn stand_count(
                 Lattice::new(&RowFeatures::new(profile, overall, &gaps), &weights.of_spacing).gaps()
             })
             .collect();
-        let mut expected = vec![0.0; parts.iter().map(Vec::len).max().unwrap_or(0)];
-        for part in parts {
-            expected.iter_mut().zip(part).for_each(|(sum, number)| *sum += number);
-        }
-        gaps = gaps.refit(&expected);
+        gaps = gaps.refit(&parts);
     }
     /// The variance of a count is its derivative by the log odds of a plant.
     const STEP_OF_ODDS: f64 = 0.05;

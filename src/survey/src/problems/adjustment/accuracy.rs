@@ -27,7 +27,7 @@ pub struct PointAccuracy {
 }
 
 impl ImageAccuracy {
-    /// Semi-axes of the error ellipsoid of the centre (standard deviations, largest first).
+    /// Semi-axes of the error ellipsoid of the centre: standard deviations in metres, the largest first.
     pub fn ellipsoid(&self) -> [f64; 3] {
         let eigen = SymmetricEigen::new(Matrix3::from_fn(|i, j| self.centre_m2[i][j]));
         let mut axes: [f64; 3] = eigen.eigenvalues.map(|value| value.max(0.0).sqrt()).into();

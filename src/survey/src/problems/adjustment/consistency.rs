@@ -180,12 +180,12 @@ fn check_ground(reconstruction: &Reconstruction) -> Result<(), InvalidReconstruc
         if !positive(&[shutter.readout_s, shutter.sigma_velocity_m_s]) {
             return fail("a rolling shutter needs a positive readout time and standard deviation of the velocity".into());
         }
-        let turns = |image: &&Image| {
+        let rotates = |image: &&Image| {
             [image.motion, image.expected_motion].iter().any(|motion| motion[..3] != [0.0; 3])
         };
-        if let Some(image) = reconstruction.images.iter().find(turns) {
+        if let Some(image) = reconstruction.images.iter().find(rotates) {
             return fail(format!(
-                "image {}: it turns while it is read; an adjustment knows of shifts only",
+                "image {}: its motion has a rotation during readout; an adjustment estimates shifts only",
                 image.name
             ));
         }

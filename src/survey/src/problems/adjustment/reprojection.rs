@@ -27,7 +27,7 @@ use rowgram_optim::{
 pub(super) const LENS: usize = MAX_PARAMETERS + 1;
 /// Numbers prepared per image: rotation by rows, translation, range of the model, lens block.
 const GLOBAL_SHUTTER: usize = 13 + LENS;
-/// The same and the motion.
+/// The same and the shift during readout.
 const ROLLING_SHUTTER: usize = GLOBAL_SHUTTER + 3;
 /// Numbers per observation: position from the image centre, 1/sigma, share of the readout.
 pub(super) const DATA: usize = 4;
@@ -196,7 +196,7 @@ impl ProjectionFactor for GlobalShutterFactor {
     }
 }
 
-/// `P` of a point in the frame of the pose's middle.
+/// `P`: a point in the camera frame of the middle of the readout, shifted by `tau s`.
 #[inline(always)]
 fn shifted<L: Lane>(c: &[L; ROLLING_SHUTTER], q: &[L; 3], tau: L) -> [L; 3] {
     let mut p = *q;

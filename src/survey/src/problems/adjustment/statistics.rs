@@ -239,8 +239,8 @@ impl Statistics {
         }
     }
 
-    /// What the test rejects at the significance of its kind: places in [`Statistics::tested`], each with its test value over
-    /// the critical one, the worst first.
+    /// The observations that the test rejects, the worst first: places in [`Statistics::tested`], each with its test value over the critical
+    /// one. `significance` is the level at which an observation of a group is tested.
     pub fn rejected(
         &self,
         testing: OutlierTest,

@@ -46,7 +46,7 @@ pub fn search(views: &[View], request: &Request) -> Result<State, SolveError> {
         })
 }
 
-/// What all trials that lead anywhere are after a few steps, the best first.
+/// The states of all successful trials after a few steps, that of the least cost first.
 fn trials(views: &[View], request: &Request) -> Vec<State> {
     use rayon::prelude::*;
     let trials: Vec<(Shape, f64)> = [Shape::Rectilinear, Shape::Equidistant]

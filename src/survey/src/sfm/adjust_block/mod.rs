@@ -32,11 +32,11 @@ use rowgram_base::{
 use rowgram_optim::robust::median;
 use serde::{Deserialize, Serialize};
 
-/// Whether something that takes time is done.
+/// Whether something optional is done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum When {
-    /// Where there is ground control, which says that coordinates matter.
+    /// Where it is needed; each option says when.
     #[default]
     Auto,
     /// In any case.
@@ -48,7 +48,7 @@ pub enum When {
 rowgram_base::choices!(When: Auto, On, Off);
 
 impl When {
-    /// Whether it is done for a block with this control.
+    /// Whether it is done for a block with this control: auto where there is ground control, which says that coordinates matter.
     pub fn applies(self, known: &Known) -> bool {
         match self {
             When::Auto => known.has_control(),
