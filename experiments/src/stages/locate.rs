@@ -36,7 +36,7 @@ enum Start {
 enum Method {
     /// Coordinate descent on the paper's likelihood with a prior.
     Descent,
-    /// Votes along leaf axes and dynamic programming along the rows.
+    /// Votes along leaf axes and a random field along the rows.
     RowModel,
     /// The same without being told the number of plants.
     RowModelAuto,

@@ -26,7 +26,7 @@ use std::borrow::Cow;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LocateMethod {
-    /// Votes along leaf axes, dynamic programming along curved rows.
+    /// Votes along leaf axes, a random field along curved rows.
     RowModel,
     /// `RowModel`, then the tempered descent from its plants.
     Refined,
@@ -89,7 +89,7 @@ rowgram_base::options! {
     }, together go_together, main [plants, method] {
         /// Number of plants; auto estimates it.
         pub plants: Auto<usize> = Auto::Auto, limits at_least(1.0);
-        /// How plants are located: row-model (votes along leaf axes, dynamic programming along curved rows);
+        /// How plants are located: row-model (votes along leaf axes, a random field along curved rows);
         /// refined (row-model, then the tempered descent); tempered, descent, paper, kmeans (descents from other
         /// starts); rows (regular spacing).
         pub method: LocateMethod = LocateMethod::RowModel;

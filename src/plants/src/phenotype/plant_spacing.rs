@@ -4,7 +4,7 @@
 //! seeds gives no plant, and a share `d` of the gaps is between two plants in one place. Gaps are then
 //! independent, with the density
 //!
-//! `p(g) = (1-d) sum_k (1-m) m^(k-1) N(g; k s, k j^2 s^2) + d N(g; 0.18 s, (0.06 s)^2)`, k = 1, 2, ...
+//! `p(g) = (1-d) sum_k (1-m) m^(k-1) N(g; k s, k j^2 s^2) + d N(g; 0.24 s, (0.07 s)^2)`, k = 1, 2, ...
 //!
 //! The four parameters are re-estimated from the gaps of the plants found, under weak priors that
 //! keep a few gaps from collapsing them. Lengths in pixels.
@@ -56,10 +56,14 @@ impl Spacing {
     /// Density of a gap, per pixel.
     pub fn density(&self, gap: f64) -> f64 {
         let singles: f64 = (1..=MAX_GAP_PLANTS).map(|k| self.skipping(gap, k)).sum();
-        let near = (0.18 * self.spacing).max(2.5);
-        let double = normal(gap, near, (0.06 * self.spacing).powi(2).max(0.5));
         // Anything can happen, rarely.
-        singles + self.doubles * double + 1e-5 / self.spacing
+        singles + self.double(gap) + 1e-5 / self.spacing
+    }
+
+    /// The part of the density with two plants in one place.
+    pub(super) fn double(&self, gap: f64) -> f64 {
+        let near = (0.24 * self.spacing).max(1.5);
+        self.doubles * normal(gap, near, (0.07 * self.spacing).powi(2).max(0.3))
     }
 
     /// The part of the density with `k - 1` plants missing.

@@ -1,19 +1,16 @@
-//! Plants in closed canopies, from votes along leaf axes and dynamic programming along curved rows.
+//! Plants in closed canopies, from votes along leaf axes and a random field along curved rows.
 //!
 //! 1. Votes for stalks ([`evidence`]), rows as they run ([`row_curves`]), and the votes along every row
-//!    ([`dynamic_programming::Profile`]): at each place along the row the best votes across it, under a normal
+//!    ([`row_profile::Profile`]): at each place along the row the best votes across it, under a normal
 //!    weight about the row.
-//! 2. The spacing of the plants ([`plant_spacing`]), on some of the rows: where the number of plants is not
-//!    given, the one with the largest marginal likelihood ([`dynamic_programming::Chain::log_sum`]); then alternating
-//!    between the best plants and the gaps between them.
-//!    Rows are then cut where they have no leaf for some spacings (`row_parts`): at alleys, and where many plants are missing.
-//! 3. How many leaves there are around every place ([`double_plants`]), compared with the best plants so far: what the chains and
-//!    the expected counts below know of two plants in one place, and of none.
-//! 4. The best plants of every row ([`dynamic_programming::Chain::best`]). The score `plant_log_odds` of one plant more is found
-//!    by bisection: for their number where it is given, otherwise for the number that is expected of a
-//!    score fitted to count ([`stand_count`]).
-//! 5. Probabilities of all places ([`dynamic_programming::Chain::posterior`]) give each plant its confidence and its
-//!    standard deviations, the field its count with an interval, and every gap the probability that
+//! 2. The spacing of the plants ([`plant_spacing`]), on some of the rows: where their number is not given, the likeliest of some, all sets of
+//!    plants taken together (`spacing_likelihood`); then alternating between the best plants and the gaps between them.
+//!    Rows are cut where they have no leaf for some spacings (`row_parts`): at alleys, and where many plants are missing.
+//! 3. How many leaves there are around every place ([`double_plants`]), compared with the likeliest plants so far: what the random
+//!    field knows of two plants in one place, and of none.
+//! 4. The probability of a plant at every place ([`stand_count`]), for the number of plants where it is given. Their
+//!    sum is the number of plants, with an interval; they stand where most of the probability is together, and that gives each its confidence and
+//!    its standard deviations, and every gap the probability that
 //!    plants are missing in it. Stalks may be tilted, and their bases not below their leaves ([`tilt`]).
 //!
 //! All that is for rows along which leaves have closed. Where there is soil between plants, or there are no rows, plants are
@@ -22,10 +19,7 @@
 //! Positions and lengths in pixels of the mask where the name ends in `_px`, else of the reduced grid.
 //!
 //! [`evidence`]: super::evidence
-//! [`dynamic_programming::Profile`]: super::dynamic_programming::Profile
-//! [`dynamic_programming::Chain::log_sum`]: Chain::log_sum
-//! [`dynamic_programming::Chain::best`]: Chain::best
-//! [`dynamic_programming::Chain::posterior`]: Chain::posterior
+//! [`row_profile::Profile`]: super::row_profile::Profile
 //! [`double_plants`]: super::double_plants
 //! [`row_curves`]: super::row_curves
 //! [`plant_spacing`]: super::plant_spacing
@@ -33,18 +27,18 @@
 //! [`tilt`]: super::tilt
 
 use super::{
-    dynamic_programming::{Chain, Posterior, STEP},
     locate::LocateError,
     mass_stand::{self, ByMass},
     plant_spacing::Spacing,
-    row_evidence::{Expected, RowEvidence, best, bisect, gaps, total, worth_of},
+    row_evidence::{RowEvidence, gaps, total},
     row_parts::Part,
+    row_profile::STEP,
     rows::{Detection, Rows},
     rows_to_count::read_rows,
     stand::{Gap, LEAST_MISSING, NORMAL_95, Stalk, Stand},
+    stand_count::RowPosterior,
     tilt,
 };
-use rayon::prelude::*;
 use rowgram_base::options::Options as _;
 use rowgram_optim::engine::SolveError;
 use rowgram_raster::Mask;
@@ -57,20 +51,6 @@ rowgram_base::options! {
         pub across_sigma: f64 = 3.0, limits between(0.000001, 1e6);
         /// Shrinkage of the offset across the row: the share of the best offset that is applied.
         pub shrinkage: f64 = 0.7, limits between(0.0, 1.0);
-        /// Weight of the leaf-axis votes: of the square root of votes over mean votes.
-        pub vote_weight: f64 = 12.0, limits between(0.0, 1e6);
-        /// Penalty for leaf area that no plant covers, relative to that of one plant.
-        pub uncovered_weight: f64 = 1.0, limits between(0.0, 1e6);
-        /// Inverse temperature of the probabilities: scores per unit of log probability.
-        pub inverse_temperature: f64 = 0.5, limits between(0.000001, 1e6);
-        /// Where the number of plants is not given, take it from the stand count; otherwise from plant_log_odds.
-        pub stand_count: bool = true;
-        /// Log-odds of an additional plant where the number of plants is not given.
-        pub plant_log_odds: f64 = 1.1, limits between(-1e6, 1e6);
-        /// Log-odds of an additional plant while the plant spacing is estimated.
-        pub spacing_log_odds: f64 = 0.5, limits between(-1e6, 1e6);
-        /// Use the leaves around a place to distinguish one plant, two plants and none.
-        pub double_plants: bool = true;
         /// Standard deviation, in each direction, of the base of a stalk about the middle of its leaves.
         pub tilt_sigma: f64 = 1.5, limits between(0.0, 1e6);
         /// Count and locate plants by their leaf area where soil separates them, or where there are no rows;
@@ -196,62 +176,18 @@ fn by_votes(
             return Err(LocateError::NoRows { contrast, prominence });
         }
     };
-    let (mut evidence, mut spacing) = read_rows(mask, rows, count, options);
-    let expected = match options.stand_count {
-        true => Some(evidence.stand_count(spacing.spacing)?),
-        false => None,
-    };
-    if let (None, Some(Expected { count, share, .. })) = (count, &expected)
-        && (count / share).round() >= 1.0
-    {
-        // The number of plants shows their distance better than votes do, to which every leaf of a plant contributes.
-        let total = (count / share).round() as usize;
-        spacing = evidence.spacing(Some(total), Some(&spacing));
-        evidence.compare_with_plants(&spacing);
-    }
-    let chains = evidence.chains(&spacing, 0..evidence.profiles.len());
-    let plant_log_odds = match (count, &expected) {
-        (Some(count), _) => worth_of(&chains, count)?,
-        (None, Some(expected)) => {
-            let wanted = expected.count.round() as usize;
-            let counted = evidence.chains(&spacing, expected.rows.iter().copied());
-            bisect(&counted, wanted.max(1)).unwrap_or(options.plant_log_odds)
-        }
-        (None, None) => options.plant_log_odds,
-    };
-    let mut places = best(&chains, plant_log_odds);
-    let posteriors = posteriors(&chains, plant_log_odds, options.inverse_temperature);
-    drop(chains);
-    let whole = expected.as_ref().filter(|expected| expected.share > 0.999);
-    let wanted = count.or(whole.map(|expected| (expected.count.round() as usize).max(1)));
-    if let Some(count) = wanted {
-        keep_likeliest(&mut places, &posteriors, count);
+    let (evidence, spacing) = read_rows(mask, rows, count, options)?;
+    let posteriors = evidence.posteriors(&spacing, count)?;
+    let expected: f64 = posteriors.iter().map(|row| row.count).sum();
+    let wanted = count.unwrap_or((expected.round() as usize).max(1));
+    let places = RowEvidence::places(&posteriors, &spacing, wanted);
+    if let Some(plants) = count.filter(|&plants| plants > total(&places)) {
+        return Err(LocateError::RowsTooShort { plants, most: total(&places) });
     }
     let spacing = spacing.refit(&gaps(&places));
-    let mut stand = evidence.present(rows, &places, &posteriors, &spacing, expected);
+    let mut stand = evidence.present(rows, &places, &posteriors, &spacing);
     stand.refit_rows();
     Ok(stand)
-}
-
-fn posteriors(
-    chains: &[Chain<'_>],
-    plant_log_odds: f64,
-    inverse_temperature: f64,
-) -> Vec<Posterior> {
-    chains.par_iter().map(|chain| chain.posterior(plant_log_odds, inverse_temperature)).collect()
-}
-
-/// Drops the least likely plants beyond `count`.
-fn keep_likeliest(places: &mut [Vec<usize>], posteriors: &[Posterior], count: usize) {
-    let mut ranked: Vec<(f64, usize, usize)> = Vec::new();
-    for (row, places) in places.iter().enumerate() {
-        let marginals = &posteriors[row].marginals;
-        ranked.extend(places.iter().map(|&at| (together(marginals, places, at, 2)[0], row, at)));
-    }
-    ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-    for &(_, row, at) in &ranked[..ranked.len().saturating_sub(count)] {
-        places[row].retain(|&other| other != at);
-    }
 }
 
 /// What is probable within some steps of a place: a plant at all, its mean offset, its variance.
@@ -290,9 +226,8 @@ impl RowEvidence<'_> {
         &self,
         rows: &Rows,
         places: &[Vec<usize>],
-        posteriors: &[Posterior],
+        posteriors: &[RowPosterior],
         spacing: &Spacing,
-        expected: Option<Expected>,
     ) -> Stand {
         let factor = self.evidence.factor as f64;
         let tilt = self.options.tilt_sigma;
@@ -351,38 +286,30 @@ impl RowEvidence<'_> {
                 }
             }
         }
-        let variances: Vec<f64> = posteriors.iter().map(|of| of.count_variance).collect();
-        let found = total(places) as f64;
-        let (middle, variance) = match expected {
-            Some(Expected { count, variance, share, .. }) => {
-                // What a part says of the whole, and what the weights may be off for this field.
-                let (shared, own) = COUNT_SIGMA;
-                let systematic = (shared * count).powi(2) + own * own * count;
-                (count / share, (variance + systematic) / (share * share))
-            }
-            None => (found, variances.iter().sum()),
-        };
+        let expected: f64 = posteriors.iter().map(|of| of.count).sum();
+        // What a part says of the whole, and what the weights may be off for this field.
+        let (shared, own) = COUNT_SIGMA;
+        let variance = posteriors.iter().map(|of| of.count_variance).sum::<f64>()
+            + (shared * expected).powi(2)
+            + own * own * expected;
         let half = NORMAL_95 * variance.sqrt();
-        let singles = found.max(2.0) - 1.0;
+        let singles = (total(places) as f64).max(2.0) - 1.0;
         let mut row_counts = vec![0.0; rows.rows.len()];
         let mut row_variances = row_counts.clone();
-        for ((part, posterior), variance) in self.parts.iter().zip(posteriors).zip(&variances) {
+        for (part, posterior) in self.parts.iter().zip(posteriors) {
             row_counts[part.row] += posterior.count;
-            row_variances[part.row] += variance;
+            row_variances[part.row] += posterior.count_variance;
         }
-        // Rows share the plants of the field: scores at a temperature count too many where canopies are closed.
-        let share = middle / row_counts.iter().sum::<f64>().max(f64::MIN_POSITIVE);
-        let relative = variance.sqrt() / middle.max(1.0);
-        for (count, variance) in row_counts.iter_mut().zip(&mut row_variances) {
-            *count *= share;
-            *variance = *variance * share * share + (relative * *count).powi(2);
+        let relative = variance.sqrt() / expected.max(1.0);
+        for (count, variance) in row_counts.iter().zip(&mut row_variances) {
+            *variance += (relative * count).powi(2);
         }
         Stand {
             plants,
             rows: rows.clone(),
             spacing: Spacing { spacing: spacing.spacing * factor, ..*spacing },
             spacing_sigma_px: spacing.jitter * spacing.spacing * factor / singles.sqrt(),
-            count_interval: [(middle - half).max(0.0), middle + half],
+            count_interval: [(expected - half).max(0.0), expected + half],
             row_counts,
             row_count_sigmas: row_variances.into_iter().map(f64::sqrt).collect(),
             missing,

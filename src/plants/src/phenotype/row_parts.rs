@@ -5,8 +5,8 @@
 //! Between bare stretches a row has parts, each with its own first and last plant. All lengths in pixels of the reduced grid.
 
 use super::{
-    dynamic_programming::{Profile, STEP},
     row_curves::RowCurve,
+    row_profile::{Profile, STEP},
 };
 use std::ops::Range;
 

@@ -3,17 +3,58 @@
 //! At each place along the row the best votes across it count, under a normal weight about its course. Lengths in pixels of the reduced
 //! grid of [`Evidence`].
 
-use super::{
-    dynamic_programming::{Profile, STEP},
-    evidence::Evidence,
-    row_curves::RowCurve,
-};
+use super::{double_plants::PlantScores, evidence::Evidence, row_curves::RowCurve};
 use crate::problems::plants::lines::Axes;
 
+/// Distance between the places looked at.
+pub const STEP: f64 = 0.5;
 /// Half the width of the band whose leaf mass a row has to cover.
 pub(super) const BAND: i32 = 8;
 /// Places looked at beyond the ends of a row.
 const BEYOND: f64 = 6.0;
+
+/// What a row shows, place by place along it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Profile {
+    /// The first place, along the row.
+    pub start: f64,
+    /// The best votes across the row.
+    pub votes: Vec<f64>,
+    /// How far off the middle of the row they are.
+    pub offsets: Vec<f64>,
+    /// Leaf mass up to each place, and its first moment in steps; one longer than `votes`.
+    pub mass: Vec<[f64; 2]>,
+    /// What leaves around every other place say of one plant there and of a second one, for the place before it too, for they change
+    /// slowly along a row; empty where that is not known.
+    pub surroundings: Vec<PlantScores>,
+}
+
+impl Profile {
+    /// What leaves around a place say, where that is known.
+    pub(super) fn around(&self, at: usize) -> Option<&PlantScores> {
+        self.surroundings.get(at / 2)
+    }
+
+    /// Mass between two places times its distance, at most `truncated` steps, from the first (`ahead`) or the second.
+    pub(super) fn spread(&self, truncated: usize, from: usize, to: usize, ahead: bool) -> f64 {
+        if from >= to {
+            return 0.0;
+        }
+        let mass = &self.mass;
+        let between = |a: usize, b: usize| [mass[b][0] - mass[a][0], mass[b][1] - mass[a][1]];
+        let far = truncated as f64;
+        let steps = if ahead {
+            let turn = to.min(from + truncated);
+            let near = between(from, turn);
+            near[1] - from as f64 * near[0] + far * between(turn, to)[0]
+        } else {
+            let turn = from.max(to.saturating_sub(truncated));
+            let near = between(turn, to);
+            to as f64 * near[0] - near[1] + far * between(from, turn)[0]
+        };
+        steps * STEP
+    }
+}
 
 /// Looks for the best votes across rows, under a normal weight about them.
 pub(super) struct Across {

@@ -1,26 +1,26 @@
 //! The rows of a mask as they are when their plants are counted ([`super::stand_count`]).
 
 use super::{
-    dynamic_programming::Profile, plant_spacing::Spacing, row_evidence::RowEvidence,
-    row_model::RowModelOptions, rows::Rows, stand_count::Overall,
+    locate::LocateError, plant_spacing::Spacing, row_evidence::RowEvidence,
+    row_model::RowModelOptions, row_profile::Profile, rows::Rows, stand_count::Overall,
 };
 use rowgram_raster::Mask;
 
 /// Plants farther from their row than this share of the distance of rows belong to none: at half of it they could be of the next one.
 const NEAR_ROW: f64 = 0.45;
 
-/// Everything that is known of the rows when their plants are counted, and a first spacing.
+/// Everything that is known of the rows when their plants are counted, and the spacing of the plants.
 pub(super) fn read_rows<'m>(
     mask: &'m Mask,
     rows: &Rows,
     count: Option<usize>,
     options: &RowModelOptions,
-) -> (RowEvidence<'m>, Spacing) {
+) -> Result<(RowEvidence<'m>, Spacing), LocateError> {
     let mut evidence = RowEvidence::new(mask, rows, options);
-    let spacing = evidence.spacing(count, None);
+    let spacing = evidence.spacing(count);
     evidence.cut(&spacing);
-    evidence.compare_with_plants(&spacing);
-    (evidence, spacing)
+    evidence.compare_with_plants(&spacing)?;
+    Ok((evidence, spacing))
 }
 
 /// What the weights of the stand count are fitted to.
@@ -30,20 +30,23 @@ pub struct RowsToCount {
     pub profiles: Vec<Profile>,
     /// What they show together.
     pub overall: Overall,
-    /// The spacing at which counting starts, in pixels of the reduced grid.
-    pub spacing: f64,
+    /// The spacing of the plants, its length in pixels of the reduced grid.
+    pub spacing: Spacing,
     /// The places of some plants on each, in steps, ascending; those of no row are left out.
     pub plants: Vec<Vec<usize>>,
 }
 
 /// Reads the rows of a mask, and puts plants on them.
+///
+/// # Errors
+/// The weights of the stand count are damaged.
 pub fn rows_to_count(
     mask: &Mask,
     rows: &Rows,
     plants_px: &[[f64; 2]],
     options: &RowModelOptions,
-) -> RowsToCount {
-    let (evidence, spacing) = read_rows(mask, rows, None, options);
+) -> Result<RowsToCount, LocateError> {
+    let (evidence, spacing) = read_rows(mask, rows, None, options)?;
     let reach =
         NEAR_ROW * rows.spacing_px.map_or(f64::INFINITY, |px| px / evidence.evidence.factor as f64);
     let mut plants = vec![Vec::new(); evidence.profiles.len()];
@@ -58,10 +61,5 @@ pub fn rows_to_count(
         }
         row.retain(|&step| step < profile.votes.len());
     }
-    RowsToCount {
-        overall: evidence.overall(),
-        spacing: spacing.spacing,
-        profiles: evidence.profiles,
-        plants,
-    }
+    Ok(RowsToCount { overall: evidence.overall(), spacing, profiles: evidence.profiles, plants })
 }

@@ -1,10 +1,10 @@
 //! What the score of a row of the [stand count](super) is a linear function of.
 
-use super::{
-    Overall, PAIR, PLACE,
-    gap_lengths::{Gaps, MOST},
+use super::{Overall, PAIR, PLACE};
+use crate::phenotype::{
+    plant_spacing::Spacing,
+    row_profile::{Profile, STEP},
 };
-use crate::phenotype::dynamic_programming::{Profile, STEP};
 
 /// Which feature of two neighbours is their uncovered leaf mass.
 pub(super) const UNCOVERED: usize = 3;
@@ -55,7 +55,12 @@ fn surroundings_scores(profile: &Profile, at: usize) -> [f64; 2] {
 }
 
 /// The features of every place.
-fn places(profile: &Profile, heights: &[f64], overall: &Overall, gaps: &Gaps) -> Vec<[f64; PLACE]> {
+fn places(
+    profile: &Profile,
+    heights: &[f64],
+    overall: &Overall,
+    gaps: &Spacing,
+) -> Vec<[f64; PLACE]> {
     let sums = sums(heights.iter().copied());
     let steps = |share: f64| (share * gaps.spacing / STEP) as usize;
     let (wide, narrow) = (steps(0.5), steps(0.3).max(1));
@@ -129,9 +134,9 @@ pub struct RowFeatures<'p> {
 
 impl<'p> RowFeatures<'p> {
     /// Lengths in pixels of the reduced grid.
-    pub fn new(profile: &'p Profile, overall: &Overall, gaps: &Gaps) -> RowFeatures<'p> {
+    pub fn new(profile: &'p Profile, overall: &Overall, gaps: &Spacing) -> RowFeatures<'p> {
         let s = gaps.spacing;
-        let steps = ((MOST as f64 - 0.5) * s / STEP) as usize + 1;
+        let steps = (gaps.farthest() / STEP) as usize + 1;
         let of_gap = (0..steps)
             .map(|steps| {
                 let gap = steps as f64 * STEP;

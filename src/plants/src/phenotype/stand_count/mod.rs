@@ -1,9 +1,6 @@
-//! How many plants a row holds, by a conditional random field over their places.
+//! The plants of rows along which leaves have closed: how many, where, and how sure, by a conditional random field over their places.
 //!
-//! The best plants of a row ([`super::dynamic_programming`]) are good places and a poor count: where evidence is weak,
-//! a plant's probability is spread over many places and the best set leaves it out. The count is
-//! therefore the expected one. Sets of plants `x_1 < x_2 < ...` on a row have probabilities
-//! proportional to
+//! Sets of plants `x_1 < x_2 < ...` on a row have probabilities proportional to
 //!
 //! `exp( sum_i a^T f(x_i) + sum_i b^T g(x_i, x_{i+1}) + ends )`,
 //!
@@ -14,24 +11,24 @@
 //! At that maximum the expected features are the true ones, the number of plants
 //! among them, which no other score of places promises.
 //!
-//! The spacing enters `g` and is re-estimated from the expected gaps, a few times, under weak priors.
-//! Lengths in pixels of the reduced grid; the weights are those of `weights.csv`, which `experiments
+//! All probabilities are sums over neighbours, so they are found exactly ([`row_posteriors`]). The best set of plants is a poor count:
+//! where evidence is weak, a plant's probability is spread over many places and the best set leaves it out. Plants are therefore as many as are expected,
+//! and stand where most of their probability is together ([`likeliest_places`]).
+//!
+//! The spacing enters both and is found before. Lengths in pixels of the reduced grid; the weights are those of `weights.csv`, which `experiments
 //! fit-stand-count` makes.
 //!
 //! Reference: J. Lafferty, A. McCallum and F. Pereira, "Conditional random fields: probabilistic models
 //! for segmenting and labeling sequence data", ICML 2001.
 
 mod features;
-mod gap_lengths;
+mod places;
 mod weights;
 
-use super::{
-    chain_links::log_sum_exp,
-    dynamic_programming::{Profile, STEP},
-};
+use super::{log_sum::log_sum_exp, plant_spacing::Spacing, row_profile::Profile};
 pub use features::RowFeatures;
 use features::UNCOVERED;
-pub use gap_lengths::Gaps;
+pub use places::likeliest_places;
 use rayon::prelude::*;
 use rowgram_optim::engine::SolveError;
 use weights::fitted;
@@ -41,8 +38,6 @@ pub use weights::{PAIR_FEATURES, PLACE_FEATURES, Weights};
 pub const PLACE: usize = 27;
 /// Number of features of two neighbours.
 pub const PAIR: usize = 11;
-/// Rounds in which the spacing is re-estimated.
-const ROUNDS: usize = 4;
 
 /// What the whole field shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,13 +54,15 @@ pub struct Overall {
     pub outside: f64,
 }
 
-/// What is expected of some rows.
+/// What is probable in a row.
 #[derive(Debug, Clone, PartialEq)]
-pub struct RowCounts {
-    /// Expected number of plants of each row.
-    pub counts: Vec<f64>,
-    /// Variance of each.
-    pub variances: Vec<f64>,
+pub struct RowPosterior {
+    /// Expected number of plants at each place.
+    pub marginals: Vec<f64>,
+    /// Expected number of plants if a plant is worth what the weights say.
+    pub count: f64,
+    /// Variance of that.
+    pub count_variance: f64,
 }
 
 /// The scores of one row: of every place, of it as the first and as the last plant, and of pairs.
@@ -136,10 +133,15 @@ impl Lattice {
         Sums { all: log_sum_exp(&mut terms), ahead, behind }
     }
 
-    /// The expected number of plants if each were worth `plant_log_odds` more.
-    fn count(&self, plant_log_odds: f64) -> f64 {
+    /// The expected number of plants at each place if each were worth `plant_log_odds` more.
+    fn marginals(&self, plant_log_odds: f64) -> Vec<f64> {
         let Sums { ahead, behind, all } = self.sums(plant_log_odds);
-        ahead.iter().zip(&behind).map(|(a, b)| (a + b - all).exp()).sum()
+        ahead.iter().zip(&behind).map(|(a, b)| (a + b - all).exp()).collect()
+    }
+
+    /// The expected number of plants likewise.
+    fn count(&self, plant_log_odds: f64) -> f64 {
+        self.marginals(plant_log_odds).iter().sum()
     }
 
     /// The log likelihood of plants at some places of the row these are the scores of, at most [`RowFeatures::gap_limit`] apart, and
@@ -188,59 +190,68 @@ impl Lattice {
         }
         (value, slope)
     }
-
-    /// The expected number of gaps of each length, in steps.
-    pub fn gaps(&self) -> Vec<f64> {
-        let Sums { ahead, behind, all } = self.sums(0.0);
-        let longest = self.pairs.iter().map(Vec::len).max().unwrap_or(0);
-        let mut expected = vec![0.0; longest];
-        for (at, links) in self.pairs.iter().enumerate() {
-            let after = self.own[at] + behind[at] - all;
-            for (gap, score) in links.iter().enumerate().skip(2) {
-                expected[gap] += (ahead[at - gap] + score + after).exp();
-            }
-        }
-        expected
-    }
 }
 
-/// The expected number of plants of rows whose plants are about `spacing` apart.
+/// The probabilities of the plants of each row, where one more is worth `plant_log_odds` more than the weights say.
 ///
 /// # Errors
 /// [`SolveError::Misuse`] where the file of weights is damaged.
-pub fn stand_count(
+pub fn row_posteriors(
     profiles: &[&Profile],
     overall: &Overall,
-    spacing: f64,
-) -> Result<RowCounts, SolveError> {
-    let weights = fitted().map_err(SolveError::Misuse)?;
-    let mut gaps = Gaps::new(spacing);
-    for _ in 0..ROUNDS {
-        let parts: Vec<Vec<f64>> = profiles
-            .par_iter()
-            .map(|profile| {
-                Lattice::new(&RowFeatures::new(profile, overall, &gaps), &weights.of_spacing).gaps()
-            })
-            .collect();
-        gaps = gaps.refit(&parts);
-    }
+    spacing: &Spacing,
+    plant_log_odds: f64,
+) -> Result<Vec<RowPosterior>, SolveError> {
     /// The variance of a count is its derivative by the log odds of a plant.
     const STEP_OF_ODDS: f64 = 0.05;
-    let (counts, variances) = profiles
-        .par_iter()
-        .map(|profile| {
-            let lattice =
-                Lattice::new(&RowFeatures::new(profile, overall, &gaps), &weights.of_count);
-            let [less, more] = [-STEP_OF_ODDS, STEP_OF_ODDS].map(|odds| lattice.count(odds));
-            (lattice.count(0.0), ((more - less) / (2.0 * STEP_OF_ODDS)).max(0.0))
-        })
-        .unzip();
-    Ok(RowCounts { counts, variances })
+    let weights = fitted().map_err(SolveError::Misuse)?;
+    let of_row = |profile: &&Profile| {
+        let lattice = Lattice::new(&RowFeatures::new(profile, overall, spacing), weights);
+        let [less, more] = [-STEP_OF_ODDS, STEP_OF_ODDS].map(|odds| lattice.count(odds));
+        let marginals = lattice.marginals(plant_log_odds);
+        let count = if plant_log_odds == 0.0 { marginals.iter().sum() } else { lattice.count(0.0) };
+        let count_variance = ((more - less) / (2.0 * STEP_OF_ODDS)).max(0.0);
+        RowPosterior { marginals, count, count_variance }
+    };
+    Ok(profiles.par_iter().map(of_row).collect())
+}
+
+/// By how much more than the weights say a plant has to be worth for `count` of them to be expected; the greatest that is looked at where that
+/// is not enough.
+///
+/// # Errors
+/// [`SolveError::Misuse`] where the file of weights is damaged.
+pub fn log_odds_of(
+    count: usize,
+    profiles: &[&Profile],
+    overall: &Overall,
+    spacing: &Spacing,
+) -> Result<f64, SolveError> {
+    const MAX_LOG_ODDS: f64 = 20.0;
+    /// Halvings of the range: to 0.04.
+    const HALVINGS: usize = 10;
+    let weights = fitted().map_err(SolveError::Misuse)?;
+    let scores =
+        |profile: &&Profile| Lattice::new(&RowFeatures::new(profile, overall, spacing), weights);
+    let lattices: Vec<Lattice> = profiles.par_iter().map(scores).collect();
+    let expected = |odds: f64| -> f64 {
+        let counts: Vec<f64> = lattices.par_iter().map(|lattice| lattice.count(odds)).collect();
+        counts.iter().sum()
+    };
+    let (mut low, mut high) = (-MAX_LOG_ODDS, MAX_LOG_ODDS);
+    for _ in 0..HALVINGS {
+        let middle = 0.5 * (low + high);
+        if expected(middle) > count as f64 { high = middle } else { low = middle }
+    }
+    Ok(0.5 * (low + high))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{super::double_plants::PlantScores, *};
+    use super::{
+        super::{double_plants::PlantScores, row_profile::STEP},
+        *,
+    };
 
     fn profile(count: usize) -> Profile {
         let votes: Vec<f64> = (0..count)
@@ -260,16 +271,16 @@ mod tests {
 
     const OVERALL: Overall =
         Overall { mean: 0.5, mass: 0.7, contrast: 0.5, cover: 0.3, outside: 0.2 };
-    const GAPS: Gaps = Gaps { spacing: 3.0, jitter: 0.2, missing: 0.1, doubles: 0.05 };
+    const GAPS: Spacing = Spacing { spacing: 3.0, jitter: 0.2, missing: 0.1, doubles: 0.05 };
 
     #[test]
-    fn expected_counts_and_gaps_agree_with_brute_force() {
+    fn expected_plants_agree_with_brute_force() {
         let profile = profile(15);
         let row = RowFeatures::new(&profile, &OVERALL, &GAPS);
-        let weights = &fitted().unwrap().of_count;
+        let weights = fitted().unwrap();
         let lattice = Lattice::new(&row, weights);
         for plant_log_odds in [0.0, 0.7] {
-            let (mut all, mut number, mut gaps) = (0.0, 0.0, [0.0; 15]);
+            let (mut all, mut number, mut marginals) = (0.0, 0.0, [0.0; 15]);
             for set in 1_u32..1 << 15 {
                 let places: Vec<usize> = (0..15).filter(|k| set >> k & 1 == 1).collect();
                 if !places.windows(2).all(|w| w[1] - w[0] >= 2 && w[1] - w[0] < row.gap_limit()) {
@@ -288,17 +299,15 @@ mod tests {
                 let weight = (own + links + ends).exp();
                 all += weight;
                 number += weight * places.len() as f64;
-                places.windows(2).for_each(|w| gaps[w[1] - w[0]] += weight);
+                places.iter().for_each(|&at| marginals[at] += weight);
             }
             approx::assert_relative_eq!(
                 lattice.count(plant_log_odds),
                 number / all,
                 epsilon = 1e-9
             );
-            if plant_log_odds == 0.0 {
-                for (fast, slow) in lattice.gaps().iter().zip(gaps) {
-                    approx::assert_relative_eq!(*fast, slow / all, epsilon = 1e-9);
-                }
+            for (fast, slow) in lattice.marginals(plant_log_odds).iter().zip(marginals) {
+                approx::assert_relative_eq!(*fast, slow / all, epsilon = 1e-9);
             }
         }
     }
@@ -310,7 +319,7 @@ mod tests {
         profile.surroundings = (0..20).map(judged).collect();
         let row = RowFeatures::new(&profile, &OVERALL, &GAPS);
         let plants = [4, 10, 13, 26];
-        let weights = &fitted().unwrap().of_spacing;
+        let weights = fitted().unwrap();
         let at = |weights: &Weights| Lattice::new(&row, weights).log_likelihood(&row, &plants);
         let (value, slope) = at(weights);
         assert!(value < 0.0, "{value}");

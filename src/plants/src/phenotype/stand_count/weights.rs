@@ -1,7 +1,6 @@
 //! The weights of the stand count, from a file that `experiments fit-stand-count` writes.
 //!
-//! `weights.csv` has a row for each feature: its name, its weight where the spacing is estimated (`of_spacing`), and its
-//! weight where plants are counted (`of_count`).
+//! `weights.csv` has a row for each feature: its name and its weight.
 
 use super::{PAIR, PLACE};
 use std::sync::LazyLock;
@@ -66,27 +65,18 @@ impl Default for Weights {
     }
 }
 
-/// Both sets of weights.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Fitted {
-    /// Fitted to fields whose spacing is known exactly: these estimate the spacing.
-    pub(super) of_spacing: Weights,
-    /// Fitted to the same fields with the spacings that `of_spacing` finds: these count.
-    pub(super) of_count: Weights,
-}
-
-static FITTED: LazyLock<Result<Fitted, String>> =
+static FITTED: LazyLock<Result<Weights, String>> =
     LazyLock::new(|| parse(include_str!("weights.csv")));
 
 /// The weights.
 ///
 /// # Errors
 /// A file of weights that does not have the features: what was expected.
-pub(super) fn fitted() -> Result<&'static Fitted, String> {
+pub(super) fn fitted() -> Result<&'static Weights, String> {
     FITTED.as_ref().map_err(Clone::clone)
 }
 
-fn parse(text: &str) -> Result<Fitted, String> {
+fn parse(text: &str) -> Result<Weights, String> {
     let names = PLACE_FEATURES.iter().chain(&PAIR_FEATURES);
     let lines: Vec<&str> = text.lines().skip(1).collect();
     if lines.len() != PLACE + PAIR {
@@ -96,24 +86,17 @@ fn parse(text: &str) -> Result<Fitted, String> {
             PLACE + PAIR
         ));
     }
-    let mut columns = [[0.0; PLACE + PAIR]; 2];
-    for (k, (line, name)) in lines.iter().zip(names).enumerate() {
-        let cells: Vec<&str> = line.split(',').collect();
+    let mut weights = [0.0; PLACE + PAIR];
+    for ((weight, line), name) in weights.iter_mut().zip(&lines).zip(names) {
         let refuse =
-            || format!("weights of the stand count: {line:?}, expected {name:?} and two numbers");
-        let [feature, of_spacing, of_count] = cells[..] else { return Err(refuse()) };
-        if feature != *name {
-            return Err(refuse());
-        }
-        for (column, cell) in columns.iter_mut().zip([of_spacing, of_count]) {
-            column[k] = cell.parse().map_err(|_| refuse())?;
-        }
+            || format!("weights of the stand count: {line:?}, expected {name:?} and a number");
+        let cell = line.strip_prefix(name).and_then(|rest| rest.strip_prefix(','));
+        *weight = cell.and_then(|cell| cell.parse().ok()).ok_or_else(refuse)?;
     }
-    let [of_spacing, of_count] = columns.map(|all| Weights {
-        places: std::array::from_fn(|k| all[k]),
-        pairs: std::array::from_fn(|k| all[PLACE + k]),
-    });
-    Ok(Fitted { of_spacing, of_count })
+    Ok(Weights {
+        places: std::array::from_fn(|k| weights[k]),
+        pairs: std::array::from_fn(|k| weights[PLACE + k]),
+    })
 }
 
 #[cfg(test)]
@@ -123,8 +106,7 @@ mod tests {
     #[test]
     fn the_file_has_a_weight_for_every_feature() {
         let fitted = fitted().unwrap();
-        assert_eq!(fitted.of_count.pairs.len() + fitted.of_count.places.len(), 38);
-        assert!(fitted.of_spacing != fitted.of_count);
+        assert!(fitted.places.iter().chain(&fitted.pairs).all(|&weight| weight != 0.0));
         let text = include_str!("weights.csv");
         for wrong in [
             text.replacen("cover,", "covers,", 1),
