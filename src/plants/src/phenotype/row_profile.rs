@@ -8,6 +8,10 @@ use crate::problems::plants::lines::Axes;
 
 /// Distance between the places looked at.
 pub const STEP: f64 = 0.5;
+/// Half the width of the surroundings that votes are compared with, in steps.
+const AROUND: usize = 60;
+/// Weight of the whole field in that comparison: the density of a canopy says little of where its stalks are.
+const WHOLE: f64 = 0.6;
 /// Half the width of the band whose leaf mass a row has to cover.
 pub(super) const BAND: i32 = 8;
 /// Places looked at beyond the ends of a row.
@@ -35,6 +39,32 @@ impl Profile {
         self.surroundings.get(at / 2)
     }
 
+    /// Square roots of the votes over what is usual around each place; `mean` are the mean votes of the field.
+    pub(super) fn heights(&self, mean: f64) -> Vec<f64> {
+        let sums = sums(self.votes.iter().copied());
+        let usual = |at| (1.0 - WHOLE) * mean_around(&sums, at, AROUND) + WHOLE * mean;
+        let votes = self.votes.iter().enumerate();
+        votes
+            .map(|(at, votes)| (votes.max(0.0) / usual(at).max(f64::MIN_POSITIVE)).sqrt())
+            .collect()
+    }
+
+    /// The places before a first plant or behind a last one, and the mass times its distance that lies beyond what the plant covers.
+    pub(super) fn beyond(
+        &self,
+        at: usize,
+        first: bool,
+        covered: usize,
+        truncated: usize,
+    ) -> (usize, f64) {
+        let count = self.votes.len();
+        if first {
+            (at, self.spread(truncated, 0, at.saturating_sub(covered), false))
+        } else {
+            (count - 1 - at, self.spread(truncated, (at + covered).min(count), count, true))
+        }
+    }
+
     /// Mass between two places times its distance, at most `truncated` steps, from the first (`ahead`) or the second.
     pub(super) fn spread(&self, truncated: usize, from: usize, to: usize, ahead: bool) -> f64 {
         if from >= to {
@@ -54,6 +84,21 @@ impl Profile {
         };
         steps * STEP
     }
+}
+
+/// Running sums, one longer than the values.
+pub(super) fn sums(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut sums = vec![0.0];
+    for value in values {
+        sums.push(sums.last().copied().unwrap_or(0.0) + value);
+    }
+    sums
+}
+
+/// The mean of the values within some steps of a place, from their running sums.
+pub(super) fn mean_around(sums: &[f64], at: usize, reach: usize) -> f64 {
+    let (from, to) = (at.saturating_sub(reach), (at + reach + 1).min(sums.len() - 1));
+    (sums[to] - sums[from]) / (to - from) as f64
 }
 
 /// Looks for the best votes across rows, under a normal weight about them.

@@ -36,10 +36,6 @@ use super::{
 const VOTES: f64 = 12.0;
 /// Worth of a plant.
 pub(super) const PLANT: f64 = 0.5;
-/// Half the width of the surroundings that votes are compared with.
-const AROUND: f64 = 30.0;
-/// Weight of the whole field in that comparison.
-const WHOLE: f64 = 0.6;
 /// Range over which two plants claim the same votes.
 const OVERLAP: f64 = 2.0;
 /// A plant covers this share of the spacing to each side, and distances are truncated one spacing on.
@@ -71,21 +67,7 @@ impl<'p> SpacingScore<'p> {
         votes: f64,
         mass: f64,
     ) -> SpacingScore<'p> {
-        let count = profile.votes.len();
-        let mut sums = vec![0.0; count + 1];
-        for (k, votes) in profile.votes.iter().enumerate() {
-            sums[k + 1] = sums[k] + votes;
-        }
-        let around = (AROUND / STEP) as usize;
-        let worth = (0..count)
-            .map(|k| {
-                let (from, to) = (k.saturating_sub(around), (k + around + 1).min(count));
-                let near = (sums[to] - sums[from]) / (to - from) as f64;
-                let usual = (1.0 - WHOLE) * near + WHOLE * votes;
-                let ratio = profile.votes[k].max(0.0) / usual.max(f64::MIN_POSITIVE);
-                VOTES * (ratio.sqrt() - 1.0)
-            })
-            .collect();
+        let worth = profile.heights(votes).iter().map(|height| VOTES * (height - 1.0)).collect();
         let s = spacing.spacing;
         let steps = ((spacing.farthest() / STEP) as usize + 1).max(3);
         let gaps = (0..steps).map(|g| spacing.density(g as f64 * STEP).ln()).collect();
@@ -114,15 +96,7 @@ impl<'p> SpacingScore<'p> {
 
     /// The score of a first plant here, or of a last one.
     fn end(&self, at: usize, first: bool) -> f64 {
-        let count = self.worth.len();
-        let (places, open) = if first {
-            (at, self.profile.spread(self.truncated, 0, at.saturating_sub(self.covered), false))
-        } else {
-            (
-                count - 1 - at,
-                self.profile.spread(self.truncated, (at + self.covered).min(count), count, true),
-            )
-        };
+        let (places, open) = self.profile.beyond(at, first, self.covered, self.truncated);
         -self.absent * places.saturating_sub(self.free) as f64 - self.uncovered * open
     }
 

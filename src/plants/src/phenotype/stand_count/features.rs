@@ -3,15 +3,11 @@
 use super::{Overall, PAIR, PLACE};
 use crate::phenotype::{
     plant_spacing::Spacing,
-    row_profile::{Profile, STEP},
+    row_profile::{Profile, STEP, mean_around, sums},
 };
 
 /// Which feature of two neighbours is their uncovered leaf mass.
 pub(super) const UNCOVERED: usize = 3;
-/// Half the width of the surroundings that votes are compared with, in steps.
-const AROUND: usize = 60;
-/// Weight of the whole field in that comparison.
-const WHOLE: f64 = 0.6;
 /// Width of the band across a row whose leaf mass was gathered.
 const BAND: f64 = 17.0;
 
@@ -20,33 +16,6 @@ const CONTRASTS: [f64; 2] = [0.25, 0.55];
 const COVERS: [f64; 2] = [0.22, 0.78];
 const OUTSIDES: [f64; 2] = [0.04, 0.6];
 const CROWNS: [f64; 2] = [-4.0, 3.0];
-
-/// Square roots of the votes over what is usual around each place.
-fn heights(profile: &Profile, mean: f64) -> Vec<f64> {
-    let votes = &profile.votes;
-    let sums = sums(votes.iter().copied());
-    (0..votes.len())
-        .map(|at| {
-            let near = mean_around(&sums, at, AROUND);
-            let usual = (1.0 - WHOLE) * near + WHOLE * mean;
-            (votes[at].max(0.0) / usual.max(f64::MIN_POSITIVE)).sqrt()
-        })
-        .collect()
-}
-
-/// Running sums, one longer than the values.
-fn sums(values: impl Iterator<Item = f64>) -> Vec<f64> {
-    let mut sums = vec![0.0];
-    for value in values {
-        sums.push(sums.last().copied().unwrap_or(0.0) + value);
-    }
-    sums
-}
-
-fn mean_around(sums: &[f64], at: usize, reach: usize) -> f64 {
-    let (from, to) = (at.saturating_sub(reach), (at + reach + 1).min(sums.len() - 1));
-    (sums[to] - sums[from]) / (to - from) as f64
-}
 
 /// How many standard deviations of plants there is less leaf around a place than around plants, and more.
 fn surroundings_scores(profile: &Profile, at: usize) -> [f64; 2] {
@@ -120,6 +89,8 @@ fn places(
 pub struct RowFeatures<'p> {
     profile: &'p Profile,
     heights: Vec<f64>,
+    /// How many standard deviations of plants there is more leaf around each place than around plants.
+    more: Vec<f64>,
     /// Of every place, named by [`PLACE_FEATURES`](super::PLACE_FEATURES).
     pub places: Vec<[f64; PLACE]>,
     /// By the gap in steps: log density, share of doubles, votes claimed near and far.
@@ -145,12 +116,13 @@ impl<'p> RowFeatures<'p> {
                 [density.ln(), gaps.double(gap) / density, claimed(2.0), claimed(0.35 * s)]
             })
             .collect();
-        let heights = heights(profile, overall.mean);
+        let heights = profile.heights(overall.mean);
         // Leaf mass of a plant.
         let mass = (overall.cover * BAND * s).max(f64::MIN_POSITIVE);
         RowFeatures {
             profile,
             places: places(profile, &heights, overall, gaps),
+            more: (0..heights.len()).map(|at| surroundings_scores(profile, at)[1]).collect(),
             heights,
             of_gap,
             uncovered: 1.0 / mass / (0.25 * s),
@@ -169,15 +141,16 @@ impl<'p> RowFeatures<'p> {
     /// The features of a plant at `at` and one before it, named by [`PAIR_FEATURES`](super::PAIR_FEATURES), with the gap between the
     /// two in steps: two at least.
     pub fn before(&self, at: usize) -> impl Iterator<Item = (usize, [f64; PAIR])> + '_ {
-        let mut valley = f64::INFINITY;
-        (1..self.gap_limit().min(at + 1)).filter_map(move |gap| {
+        let mut valley = at.checked_sub(1).map_or(f64::INFINITY, |next| self.heights[next]);
+        (2..self.gap_limit().min(at + 1)).map(move |gap| {
             let from = at - gap;
-            let features = (gap >= 2).then(|| (gap, self.pair(from, at, valley)));
+            let features = (gap, self.pair(from, at, valley));
             valley = valley.min(self.heights[from]);
             features
         })
     }
 
+    #[inline(always)]
     fn pair(&self, from: usize, to: usize, valley: f64) -> [f64; PAIR] {
         let gap = to - from;
         let [density, double, near, far] = self.of_gap[gap];
@@ -191,8 +164,7 @@ impl<'p> RowFeatures<'p> {
             0.0
         };
         let middling = !close && gap < 2 * self.covered + self.covered / 2;
-        let more = surroundings_scores(self.profile, from)[1]
-            .min(surroundings_scores(self.profile, to)[1]);
+        let more = self.more[from].min(self.more[to]);
         [
             density,
             near * lower,
@@ -210,14 +182,7 @@ impl<'p> RowFeatures<'p> {
 
     /// What a first plant here (or a last one) costs whatever the weights, and the feature "leaf mass uncovered" of the leaf beyond it.
     pub fn end(&self, at: usize, first: bool) -> [f64; 2] {
-        let count = self.heights.len();
-        let (places, open) = if first {
-            let to = at.saturating_sub(self.covered);
-            (at, self.profile.spread(self.truncated, 0, to, false))
-        } else {
-            let from = (at + self.covered).min(count);
-            (count - 1 - at, self.profile.spread(self.truncated, from, count, true))
-        };
+        let (places, open) = self.profile.beyond(at, first, self.covered, self.truncated);
         [self.absent * places.saturating_sub(self.free) as f64, self.uncovered * open]
     }
 }
