@@ -47,7 +47,6 @@ pub mod row_profile;
 pub mod rows;
 mod rows_of_plants;
 pub mod rows_to_count;
-mod spacing_likelihood;
 pub mod stand;
 pub mod stand_count;
 pub mod tilt;

@@ -14,8 +14,10 @@ use super::{
     row_parts::{self, Part},
     row_profile::{Across, BAND, Profile, STEP, read},
     rows::{Row, Rows},
-    spacing_likelihood::{PLANT, SpacingScore},
-    stand_count::{Overall, RowPosterior, likeliest_places, log_odds_of, row_posteriors},
+    stand_count::{
+        Lattice, Overall, RowFeatures, RowPosterior, Weights, likeliest_places, log_odds_of,
+        row_posteriors,
+    },
 };
 use crate::problems::plants::lines::Axes;
 use rayon::prelude::*;
@@ -147,19 +149,22 @@ impl<'m> RowEvidence<'m> {
 
     /// The spacing of plants whose number is given, or the likeliest one.
     pub(super) fn spacing(&self, count: Option<usize>) -> Spacing {
-        let sample = self.sample(SAMPLE);
+        let (sample, overall) = (self.sample(SAMPLE), self.overall());
         let first = match count {
             Some(count) => SPACING_SHARE * self.length / count as f64,
             None => self.likeliest_spacing(&sample),
         };
         (0..ROUNDS).fold(Spacing::new(first), |spacing, _| {
-            let mass = self.mass_of_plant(&spacing);
-            let best = |&row: &usize| {
-                SpacingScore::new(&self.profiles[row], &spacing, self.mean, mass).best()
-            };
+            let best = |&row: &usize| self.by_hand(row, &overall, &spacing).best();
             let places: Vec<Vec<usize>> = sample.par_iter().map(best).collect();
             spacing.refit(&gaps(&places))
         })
+    }
+
+    /// The scores of a row by weights by hand.
+    fn by_hand(&self, row: usize, overall: &Overall, spacing: &Spacing) -> Lattice {
+        let features = RowFeatures::new(&self.profiles[row], overall, spacing);
+        Lattice::new(&features, &Weights::by_hand())
     }
 
     /// What some of the rows show, enough to estimate what all plants share.
@@ -235,17 +240,16 @@ impl<'m> RowEvidence<'m> {
     /// which makes up for what evidence lacks in a closed canopy, favours the finer one by how many more plants
     /// it has: against a peak that is [`LEAVES`] times as coarse it does not count.
     pub(super) fn likeliest_spacing(&self, sample: &[usize]) -> f64 {
+        let overall = self.overall();
         let length: f64 = sample.iter().map(|&row| self.parts[row].curve.length()).sum();
+        // One spacing after the other: the scores of a long row at the coarsest take 170 MB (43,000 places).
         let mut tried: Vec<(f64, f64)> = (0..SPACINGS)
-            .into_par_iter()
             .map(|k| {
                 let spacing = FINEST * FINER.powi(k);
                 let plants = Spacing::new(spacing);
-                let mass = self.mass_of_plant(&plants);
-                let log_sum = |&row: &usize| {
-                    SpacingScore::new(&self.profiles[row], &plants, self.mean, mass).log_sum()
-                };
-                (sample.iter().map(log_sum).sum(), spacing)
+                let log_sum = |&row: &usize| self.by_hand(row, &overall, &plants).log_sum();
+                let sums: Vec<f64> = sample.par_iter().map(log_sum).collect();
+                (sums.iter().sum(), spacing)
             })
             .collect();
         if let Some(apart) = self.isolated_spacing {
@@ -256,7 +260,7 @@ impl<'m> RowEvidence<'m> {
             let over = |other: Option<&(f64, f64)>| other.is_none_or(|o| o.0 <= tried[*k].0);
             over(k.checked_sub(1).and_then(|k| tried.get(k))) && over(tried.get(k + 1))
         };
-        let bare = |k: usize| tried[k].0 - PLANT * length / tried[k].1;
+        let bare = |k: usize| tried[k].0 - Weights::PLANT * length / tried[k].1;
         let likeliest = (0..tried.len()).max_by(|&a, &b| tried[a].0.total_cmp(&tried[b].0));
         let Some(likeliest) = likeliest else { return FINEST };
         let coarser = |k: &usize| tried[*k].1 > LEAVES * tried[likeliest].1;

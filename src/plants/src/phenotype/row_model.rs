@@ -4,7 +4,7 @@
 //!    ([`row_profile::Profile`]): at each place along the row the best votes across it, under a normal
 //!    weight about the row.
 //! 2. The spacing of the plants ([`plant_spacing`]), on some of the rows: where their number is not given, the likeliest of some, all sets of
-//!    plants taken together (`spacing_likelihood`); then alternating between the best plants and the gaps between them.
+//!    plants taken together; then alternating between the best plants and the gaps between them.
 //!    Rows are cut where they have no leaf for some spacings (`row_parts`): at alleys, and where many plants are missing.
 //! 3. How many leaves there are around every place ([`double_plants`]), compared with the likeliest plants so far: what the random
 //!    field knows of two plants in one place, and of none.

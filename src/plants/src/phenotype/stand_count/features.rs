@@ -1,6 +1,6 @@
 //! What the score of a row of the [stand count](super) is a linear function of.
 
-use super::{Overall, PAIR, PLACE};
+use super::{Overall, PAIR, PLACE, weights::Weights};
 use crate::phenotype::{
     plant_spacing::Spacing,
     row_profile::{Profile, STEP, mean_around, sums},
@@ -85,6 +85,20 @@ fn places(
         .collect()
 }
 
+/// What the features of two neighbours weigh at one gap.
+pub(super) struct WeighedGap {
+    /// Whatever stands there.
+    alone: f64,
+    /// Per height of the lower of both.
+    height: f64,
+    /// Per leaf around the one with less.
+    more: f64,
+    /// Per depth of the valley between them.
+    depth: f64,
+    /// Per leaf mass that neither covers.
+    open: f64,
+}
+
 /// The features of a row, for some gaps.
 pub struct RowFeatures<'p> {
     profile: &'p Profile,
@@ -140,7 +154,7 @@ impl<'p> RowFeatures<'p> {
 
     /// The features of a plant at `at` and one before it, named by [`PAIR_FEATURES`](super::PAIR_FEATURES), with the gap between the
     /// two in steps: two at least.
-    pub fn before(&self, at: usize) -> impl Iterator<Item = (usize, [f64; PAIR])> + '_ {
+    pub fn before(&self, at: usize) -> impl ExactSizeIterator<Item = (usize, [f64; PAIR])> + '_ {
         let mut valley = at.checked_sub(1).map_or(f64::INFINITY, |next| self.heights[next]);
         (2..self.gap_limit().min(at + 1)).map(move |gap| {
             let from = at - gap;
@@ -150,34 +164,89 @@ impl<'p> RowFeatures<'p> {
         })
     }
 
+    /// Whether two plants are nearer than what one covers, and whether they are about as near as what both cover.
+    fn nearness(&self, gap: usize) -> [bool; 2] {
+        let close = gap < self.covered;
+        [close, !close && gap < 2 * self.covered + self.covered / 2]
+    }
+
+    fn closeness(&self, gap: usize) -> f64 {
+        (1.0 - gap as f64 / self.covered.max(1) as f64).max(0.0)
+    }
+
+    /// Leaf mass between two plants that neither covers, times its distance.
+    #[inline(always)]
+    fn open(&self, from: usize, to: usize) -> f64 {
+        if to - from <= 2 * self.covered {
+            return 0.0;
+        }
+        let middle = from.midpoint(to);
+        self.profile.spread(self.truncated, from + self.covered, middle, true)
+            + self.profile.spread(self.truncated, middle, to - self.covered, false)
+    }
+
     #[inline(always)]
     fn pair(&self, from: usize, to: usize, valley: f64) -> [f64; PAIR] {
         let gap = to - from;
         let [density, double, near, far] = self.of_gap[gap];
         let lower = self.heights[from].min(self.heights[to]);
-        let (depth, close) = (valley - lower, gap < self.covered);
-        let open = if gap > 2 * self.covered {
-            let middle = from.midpoint(to);
-            self.profile.spread(self.truncated, from + self.covered, middle, true)
-                + self.profile.spread(self.truncated, middle, to - self.covered, false)
-        } else {
-            0.0
-        };
-        let middling = !close && gap < 2 * self.covered + self.covered / 2;
+        let depth = valley - lower;
+        let [close, middling] = self.nearness(gap);
         let more = self.more[from].min(self.more[to]);
         [
             density,
             near * lower,
             far * lower,
-            self.uncovered * open,
+            self.uncovered * self.open(from, to),
             if close { depth } else { 0.0 },
             if middling { depth } else { 0.0 },
             double,
             double * (lower - 1.0),
-            if close { 1.0 - gap as f64 / self.covered as f64 } else { 0.0 },
+            self.closeness(gap),
             near * more,
             double * more,
         ]
+    }
+
+    /// What the features of two neighbours weigh together, by the gap in steps.
+    pub(super) fn weigh_gaps(&self, weights: &Weights) -> Vec<WeighedGap> {
+        let w = &weights.pairs;
+        let of = |(gap, [density, double, near, far]): (usize, &[f64; 4])| {
+            let [close, middling] = self.nearness(gap);
+            WeighedGap {
+                alone: w[0] * density + (w[6] - w[7]) * double + w[8] * self.closeness(gap),
+                height: w[1] * near + w[2] * far + w[7] * double,
+                more: w[9] * near + w[10] * double,
+                depth: if close {
+                    w[4]
+                } else if middling {
+                    w[5]
+                } else {
+                    0.0
+                },
+                open: w[UNCOVERED] * self.uncovered,
+            }
+        };
+        self.of_gap.iter().enumerate().map(of).collect()
+    }
+
+    /// The scores of a plant at `at` and each one before it, from the farthest on: what their features ([`RowFeatures::before`]) weigh together.
+    #[inline(always)]
+    pub(super) fn score_pairs(&self, at: usize, by_gap: &[WeighedGap], scores: &mut [f64]) {
+        let mut valley = at.checked_sub(1).map_or(f64::INFINITY, |next| self.heights[next]);
+        for (score, gap) in scores.iter_mut().rev().zip(2..) {
+            let (from, of) = (at - gap, &by_gap[gap]);
+            let lower = self.heights[from].min(self.heights[at]);
+            let more = self.more[from].min(self.more[at]);
+            *score = of.alone + of.height * lower + of.more * more;
+            if of.depth != 0.0 {
+                *score += of.depth * (valley - lower);
+            }
+            if of.open != 0.0 {
+                *score += of.open * self.open(from, at);
+            }
+            valley = valley.min(self.heights[from]);
+        }
     }
 
     /// What a first plant here (or a last one) costs whatever the weights, and the feature "leaf mass uncovered" of the leaf beyond it.

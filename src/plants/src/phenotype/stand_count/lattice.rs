@@ -38,11 +38,12 @@ impl Lattice {
     pub fn new(row: &RowFeatures<'_>, weights: &Weights) -> Lattice {
         let own: Vec<f64> =
             row.places.iter().map(|place| weighted(place, &weights.places)).collect();
+        let by_gap = row.weigh_gaps(weights);
         let (mut pairs, mut ends) = (Vec::new(), vec![0]);
         for at in 0..own.len() {
             let from = pairs.len();
-            pairs.extend(row.before(at).map(|(_, features)| weighted(&features, &weights.pairs)));
-            pairs[from..].reverse();
+            pairs.resize(from + row.before(at).len(), 0.0);
+            row.score_pairs(at, &by_gap, &mut pairs[from..]);
             ends.push(pairs.len());
         }
         let end = |at, first| {
@@ -74,6 +75,40 @@ impl Lattice {
     /// Logarithms of the sums over everything after each place.
     fn behind(&self, plant_log_odds: f64) -> Vec<f64> {
         pulp::Arch::new().dispatch(SumBackward(self, plant_log_odds))
+    }
+
+    /// The logarithm of the sum of the exponentials of the scores of all sets of plants.
+    pub fn log_sum(&self) -> f64 {
+        self.forward(0.0).all
+    }
+
+    /// The set of plants that scores best.
+    pub fn best(&self) -> Vec<usize> {
+        let count = self.own.len();
+        let (mut scores, mut from) = (vec![0.0; count], vec![usize::MAX; count]);
+        let (mut last, mut top) = (usize::MAX, f64::NEG_INFINITY);
+        for at in 0..count {
+            let mut score = self.first[at];
+            let (before, pairs) = self.before(at);
+            for (before, pair) in before.zip(pairs) {
+                let linked = scores[before] + pair;
+                if linked > score {
+                    (score, from[at]) = (linked, before);
+                }
+            }
+            scores[at] = score + self.own[at];
+            let whole = scores[at] + self.last[at];
+            if whole > top {
+                (last, top) = (at, whole);
+            }
+        }
+        let mut places = Vec::new();
+        while last != usize::MAX {
+            places.push(last);
+            last = from[last];
+        }
+        places.reverse();
+        places
     }
 
     /// The expected number of plants at each place if each were worth `plant_log_odds` more.
@@ -244,6 +279,7 @@ mod tests {
         let lattice = Lattice::new(&row, weights);
         for plant_log_odds in [0.0, 0.7] {
             let (mut all, mut number, mut square, mut marginals) = (0.0, 0.0, 0.0, [0.0; 15]);
+            let mut best = (f64::NEG_INFINITY, vec![]);
             for set in 1_u32..1 << 15 {
                 let places: Vec<usize> = (0..15).filter(|k| set >> k & 1 == 1).collect();
                 if !places.windows(2).all(|w| w[1] - w[0] >= 2 && w[1] - w[0] < row.gap_limit()) {
@@ -260,10 +296,17 @@ mod tests {
                     .sum();
                 let ends = lattice.first[places[0]] + lattice.last[places[places.len() - 1]];
                 let weight = (own + links + ends).exp();
+                if weight > best.0 {
+                    best = (weight, places.clone());
+                }
                 all += weight;
                 number += weight * places.len() as f64;
                 square += weight * (places.len() as f64).powi(2);
                 places.iter().for_each(|&at| marginals[at] += weight);
+            }
+            if plant_log_odds == 0.0 {
+                assert_eq!(lattice.best(), best.1);
+                approx::assert_relative_eq!(lattice.log_sum(), all.ln(), epsilon = 1e-9);
             }
             let (count, variance) = lattice.count(plant_log_odds);
             approx::assert_relative_eq!(count, number / all, epsilon = 1e-9);

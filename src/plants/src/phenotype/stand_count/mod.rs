@@ -15,7 +15,8 @@
 //! where evidence is weak, a plant's probability is spread over many places and the best set leaves it out. Plants are therefore as many as are expected,
 //! and stand where most of their probability is together ([`likeliest_places`]).
 //!
-//! The spacing enters both and is found before. Lengths in pixels of the reduced grid; the weights are those of `weights.csv`, which `experiments
+//! The spacing enters both and is found before, with weights by hand ([`Weights::by_hand`]): the one whose sum over all sets of plants is greatest
+//! ([`Lattice::log_sum`]), then alternating between the best set ([`Lattice::best`]) and the gaps between its plants. Lengths in pixels of the reduced grid; the weights are those of `weights.csv`, which `experiments
 //! fit-stand-count` makes.
 //!
 //! Reference: J. Lafferty, A. McCallum and F. Pereira, "Conditional random fields: probabilistic models

@@ -2,7 +2,7 @@
 //!
 //! `weights.csv` has a row for each feature: its name and its weight.
 
-use super::{PAIR, PLACE};
+use super::{PAIR, PLACE, features::UNCOVERED};
 use std::sync::LazyLock;
 
 /// The features of a place, in their order.
@@ -62,6 +62,23 @@ pub struct Weights {
 impl Default for Weights {
     fn default() -> Weights {
         Weights { places: [0.0; PLACE], pairs: [0.0; PAIR] }
+    }
+}
+
+impl Weights {
+    /// Worth of a plant by hand.
+    pub const PLANT: f64 = 0.5;
+    /// Worth of the height of its votes by hand.
+    const VOTES: f64 = 12.0;
+
+    /// Weights by hand, which find the spacing: the fitted ones are fitted to a spacing that is known, and say nothing of which it is. The density of gaps
+    /// counts as it is; votes that two plants close together claim both, and leaf mass that none covers, are taken off.
+    pub fn by_hand() -> Weights {
+        let mut weights = Weights::default();
+        weights.places[..2].copy_from_slice(&[Weights::PLANT, Weights::VOTES]);
+        weights.pairs[..2].copy_from_slice(&[1.0, -Weights::VOTES]);
+        weights.pairs[UNCOVERED] = -1.0;
+        weights
     }
 }
 
