@@ -163,36 +163,6 @@ fn numbers<'n>(
     [near, wide, pointing].map(|n| f64::from(n + 1.0).ln())
 }
 
-/// A plant has fewer leaves around it than others where its score is below this,
-const SPARSE: f64 = -2.0;
-/// which costs so much for each standard deviation,
-const THIN: f64 = 3.0;
-/// and so many of them at most.
-const THINNEST: f64 = 2.0;
-/// Worth of a second plant in one place for each standard deviation of more leaf,
-const SECOND: f64 = 4.0;
-/// which has to make up for this,
-const RARE: f64 = 5.0;
-/// and for no more standard deviations than these.
-const MOST: f64 = 3.0;
-/// Where twice the leaf is no more standard deviations of plants than the first it says nothing, beyond the second all:
-/// plants of synthetic sorghum are as alike as that, seedlings of maize in photos are not. In between a thin plant costs in
-/// proportion, and there are no second ones.
-const ALIKE: [f64; 2] = [2.7, 3.0];
-/// What a second plant is worth where leaves say nothing of it.
-const NEVER: f64 = -1e3;
-
-/// What leaves around a place say.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PlantScores {
-    /// What a plant there loses because it has too few.
-    pub thin: f64,
-    /// What a second plant there is worth, their rarity aside.
-    pub second: f64,
-    /// How much more leaf than is usual, in standard deviations of plants.
-    pub score: f64,
-}
-
 /// Middle and robust standard deviation.
 fn usual(values: &[f64]) -> [f64; 2] {
     let (middle, sigma) = median_and_sigma(values).unwrap_or((0.0, 0.0));
@@ -205,8 +175,6 @@ pub struct PlantBaseline {
     of_each: [[f64; 2]; FEATURES],
     /// Of their sum, in standard deviations.
     of_sum: [f64; 2],
-    /// How alike the plants are: 0 where sizes differ so much that leaves say nothing, 1 where they do not.
-    size_homogeneity: f64,
 }
 
 impl PlantBaseline {
@@ -215,12 +183,8 @@ impl PlantBaseline {
         let of_each: [[f64; 2]; FEATURES] = std::array::from_fn(|k| {
             usual(&plants.iter().map(|plant| plant[k]).collect::<Vec<_>>())
         });
-        let mut found = PlantBaseline { of_each, of_sum: [0.0, 1.0], size_homogeneity: 0.0 };
+        let mut found = PlantBaseline { of_each, of_sum: [0.0, 1.0] };
         found.of_sum = usual(&plants.iter().map(|plant| found.score(plant)).collect::<Vec<_>>());
-        let twice: f64 = of_each.iter().map(|[_, sd]| std::f64::consts::LN_2 / sd).sum();
-        let [nothing, all] = ALIKE;
-        found.size_homogeneity =
-            ((twice / found.of_sum[1] - nothing) / (all - nothing)).clamp(0.0, 1.0);
         found
     }
 
@@ -229,17 +193,6 @@ impl PlantBaseline {
         let each = place.iter().zip(&self.of_each);
         let sum: f64 = each.map(|(x, [middle, sd])| (x - middle) / sd).sum();
         (sum - self.of_sum[0]) / self.of_sum[1]
-    }
-
-    /// What the numbers of a place say.
-    pub fn judge(&self, place: &[f64; FEATURES]) -> PlantScores {
-        let score = self.score(place);
-        let second = SECOND * score.min(MOST) - RARE;
-        PlantScores {
-            thin: self.size_homogeneity * THIN * (SPARSE - score).clamp(0.0, THINNEST),
-            second: self.size_homogeneity * second + (1.0 - self.size_homogeneity) * NEVER,
-            score,
-        }
     }
 }
 
@@ -277,19 +230,10 @@ mod tests {
         assert!(score(4) > 1.5 && score(7) < -1.5, "{} {}", score(4), score(7));
         assert!((0..9).all(|k| k == 4 || score(k) < score(4)));
         assert!((0..9).all(|k| k == 7 || score(k) > score(7)));
-        let judged = |k: usize| usual.judge(&numbers[k]);
-        assert!(judged(4).second > judged(0).second && judged(4).thin == 0.0);
     }
 
     #[test]
-    fn where_sizes_differ_much_leaves_say_nothing() {
-        let sizes = [0.2, 0.5, 1.0, 2.0, 3.0, 0.8, 1.4, 2.6, 0.3];
-        let numbers: Vec<[f64; FEATURES]> = sizes.iter().map(|size: &f64| [size.ln(); 3]).collect();
-        let usual = PlantBaseline::new(&numbers);
-        assert_eq!(usual.size_homogeneity, 0.0);
-        let judged = usual.judge(&[-5.0; FEATURES]);
-        assert_eq!((judged.thin, judged.second), (0.0, NEVER));
-        // All the same, or none at all, is no fault.
+    fn plants_that_are_all_the_same_or_none_at_all_are_no_fault() {
         for numbers in [vec![], vec![[1.0; FEATURES]; 4]] {
             assert!(PlantBaseline::new(&numbers).score(&[1.0; FEATURES]).is_finite());
         }

@@ -1,6 +1,6 @@
 //! Sums of exponentials of scores, added in eight lanes in the same order on every machine.
 
-/// Numbers that are worked on together.
+/// Numbers that are worked on together: one register of AVX-512, two of AVX2.
 const LANES: usize = 8;
 
 /// `exp(x)` for `x <= 0`, within two units in the last place, without a branch; 0 far below.

@@ -31,7 +31,7 @@ const PATCHES: [f64; 2] = [0.7, 1.3];
 const TARGET_SPACING_PX: f64 = 13.0;
 /// Length of the rows on which the spacing is estimated, about.
 const SAMPLE: f64 = 6000.0;
-/// Length of the rows on which plants are counted where it is not given how many there are, about.
+/// Length of the rows that show what is usual of plants, and what a plant is worth where their number is given, about.
 const COUNTED: f64 = 24_000.0;
 /// Rounds in which the spacing is estimated.
 const ROUNDS: usize = 4;
@@ -45,7 +45,8 @@ const FINER: f64 = 1.075;
 /// Standard deviation of the weight under which the probability of a plant is together, in spacings. On 128 synthetic masks that took no part in
 /// fitting the weights F1 within 5 px is the same to 0.0005 from 0.15 to 0.25.
 const TOGETHER: f64 = 0.2;
-/// The spacing of plants whose number is given, over the length of the rows for each: some places are without a plant.
+/// The spacing of plants whose number is given, over the length of the rows for each: some places are without a plant. A first choice, from which the
+/// spacing is estimated; others were not compared.
 const SPACING_SHARE: f64 = 0.9;
 
 /// Votes hardly held to the row: standard deviation of the weight across it.
@@ -167,7 +168,7 @@ impl<'m> RowEvidence<'m> {
         Lattice::new(&features, &Weights::by_hand())
     }
 
-    /// What some of the rows show, enough to estimate what all plants share.
+    /// Some of the rows, and what they show.
     fn counted(&self) -> (Vec<usize>, Vec<&Profile>) {
         let rows = self.sample(COUNTED);
         let profiles = rows.iter().map(|&row| &self.profiles[row]).collect();
@@ -318,7 +319,7 @@ impl<'m> RowEvidence<'m> {
             .collect();
         let usual = PlantBaseline::new(&plants);
         for (profile, row) in self.profiles.iter_mut().zip(rows) {
-            profile.surroundings = row.iter().map(|place| usual.judge(place)).collect();
+            profile.surroundings = row.iter().map(|place| usual.score(place)).collect();
         }
     }
 

@@ -8,9 +8,9 @@
 //!    Rows are cut where they have no leaf for some spacings (`row_parts`): at alleys, and where many plants are missing.
 //! 3. How many leaves there are around every place ([`double_plants`]), compared with the likeliest plants so far: what the random
 //!    field knows of two plants in one place, and of none.
-//! 4. The probability of a plant at every place ([`stand_count`]), for the number of plants where it is given. Their
-//!    sum is the number of plants, with an interval; they stand where most of the probability is together, and that gives each its confidence and
-//!    its standard deviations, and every gap the probability that
+//! 4. The probability of a plant at every place ([`stand_count`]). Where the number of plants is not given it is the sum of these
+//!    probabilities, which has an interval. Plants stand where the greatest probability lies close together; the probability around each is its confidence,
+//!    and its spread gives standard deviations. The spacing gives every gap the probability that
 //!    plants are missing in it. Stalks may be tilted, and their bases not below their leaves ([`tilt`]).
 //!
 //! All that is for rows along which leaves have closed. Where there is soil between plants, or there are no rows, plants are
@@ -287,7 +287,7 @@ impl RowEvidence<'_> {
             }
         }
         let expected: f64 = posteriors.iter().map(|of| of.count).sum();
-        // What a part says of the whole, and what the weights may be off for this field.
+        // What leaves leave open, and what the weights may be off for this field.
         let (shared, own) = COUNT_SIGMA;
         let variance = posteriors.iter().map(|of| of.count_variance).sum::<f64>()
             + (shared * expected).powi(2)

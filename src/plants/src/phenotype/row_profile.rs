@@ -3,7 +3,7 @@
 //! At each place along the row the best votes across it count, under a normal weight about its course. Lengths in pixels of the reduced
 //! grid of [`Evidence`].
 
-use super::{double_plants::PlantScores, evidence::Evidence, row_curves::RowCurve};
+use super::{evidence::Evidence, row_curves::RowCurve};
 use crate::problems::plants::lines::Axes;
 
 /// Distance between the places looked at.
@@ -28,15 +28,15 @@ pub struct Profile {
     pub offsets: Vec<f64>,
     /// Leaf mass up to each place, and its first moment in steps; one longer than `votes`.
     pub mass: Vec<[f64; 2]>,
-    /// What leaves around every other place say of one plant there and of a second one, for the place before it too, for they change
-    /// slowly along a row; empty where that is not known.
-    pub surroundings: Vec<PlantScores>,
+    /// How much more leaf there is around every other place than around plants, in standard deviations of plants. For the place before it too, since that changes
+    /// slowly along a row; empty where it is not known.
+    pub surroundings: Vec<f64>,
 }
 
 impl Profile {
-    /// What leaves around a place say, where that is known.
-    pub(super) fn around(&self, at: usize) -> Option<&PlantScores> {
-        self.surroundings.get(at / 2)
+    /// How much more leaf there is around a place than around plants, in standard deviations of plants; 0 where it is not known.
+    pub(super) fn around(&self, at: usize) -> f64 {
+        self.surroundings.get(at / 2).copied().unwrap_or(0.0)
     }
 
     /// Square roots of the votes over what is usual around each place; `mean` are the mean votes of the field.

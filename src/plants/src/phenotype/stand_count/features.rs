@@ -19,7 +19,7 @@ const CROWNS: [f64; 2] = [-4.0, 3.0];
 
 /// How many standard deviations of plants there is less leaf around a place than around plants, and more.
 fn surroundings_scores(profile: &Profile, at: usize) -> [f64; 2] {
-    let score = profile.around(at).map_or(0.0, |around| around.score);
+    let score = profile.around(at);
     [score.clamp(CROWNS[0], 0.0), score.clamp(0.0, CROWNS[1])]
 }
 

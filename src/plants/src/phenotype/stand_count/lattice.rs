@@ -245,7 +245,6 @@ mod tests {
         *,
     };
     use crate::phenotype::{
-        double_plants::PlantScores,
         plant_spacing::Spacing,
         row_profile::{Profile, STEP},
         stand_count::Overall,
@@ -321,8 +320,7 @@ mod tests {
     #[test]
     fn the_slope_of_the_likelihood_is_that_of_its_values() {
         let mut profile = profile(40);
-        let judged = |k: usize| PlantScores { thin: 0.0, second: 0.0, score: (k as f64).sin() };
-        profile.surroundings = (0..20).map(judged).collect();
+        profile.surroundings = (0..20).map(|k| f64::from(k).sin()).collect();
         let row = RowFeatures::new(&profile, &OVERALL, &GAPS);
         let plants = [4, 10, 13, 26];
         let weights = fitted().unwrap();

@@ -98,8 +98,9 @@ pub fn log_odds_of(
     overall: &Overall,
     spacing: &Spacing,
 ) -> Result<f64, SolveError> {
+    /// At such odds, e^20, plants stand as densely as the score allows, or none does.
     const MAX_LOG_ODDS: f64 = 20.0;
-    /// Halvings of the range: to 0.04.
+    /// Halvings of the range, to 0.04: the number of plants is met exactly afterwards, by taking the likeliest places.
     const HALVINGS: usize = 10;
     let weights = fitted().map_err(SolveError::Misuse)?;
     let scores =

@@ -1,11 +1,11 @@
-//! Where plants stand, from how probable one is at each place.
+//! Where plants stand, from the probability of one at each place.
 
 use super::RowPosterior;
 use std::collections::BinaryHeap;
 
-/// Probability that is together about a place, below which no plant is looked for there.
+/// Probability around a place below which no plant is looked for there: a first choice, not compared with others.
 const MIN_TOGETHER: f64 = 0.05;
-/// The kernel ends so many radii from its middle.
+/// The normal weight ends so many standard deviations from its middle, where it is 0.01.
 const REACH: f64 = 3.0;
 
 /// The `count` places, row by row and along it, at which most of the probability of a plant is together; fewer where there are not so many.
