@@ -224,7 +224,6 @@ fn the_default_counts_and_tells_how_sure_it_is() {
         ("--starts=0 --certify", "--starts"),
         ("--method row-model --prior rows", "prior"),
         ("--method paper --gaps gaps.csv", "only the method row-model"),
-        ("--vote-weight many --plants 3", "--vote-weight"),
         ("--wishes 3 --plants 3", "wishes"),
         ("--tilt-sigma nan --plants 3", "--tilt-sigma nan"),
         ("--across-sigma 0 --plants 3", "--across-sigma 0"),

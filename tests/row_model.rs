@@ -154,6 +154,25 @@ fn plants_that_have_merged_are_not_counted_as_one() {
 
 #[test]
 #[ignore = "slow; cargo test -- --include-ignored"]
+fn wide_leaves_of_plants_close_together_are_not_seen_too_coarsely() {
+    // As on maps of photos, leaves are a pixel wider on either side: so wide that they alone would ask for a grid twice as coarse.
+    for seed in [11, 12, 13] {
+        let (thin, truth) = field(Preset::Mid20, 0.0, seed);
+        let mask = Mask::from_fn(thin.width, thin.height, |u, v| {
+            (v.saturating_sub(1)..(v + 2).min(thin.height))
+                .any(|v| thin.row(v)[u.saturating_sub(1)..(u + 2).min(thin.width)].contains(&1))
+        });
+        let found = find(&mask, None);
+        let (spacing, wanted) = (found.spacing.spacing, 0.2 / 0.015);
+        assert!((spacing / wanted - 1.0).abs() < 0.06, "{seed}: {spacing} px for {wanted}");
+        let count = found.plants.len() as f64 / truth.len() as f64;
+        assert!((count - 1.0).abs() < 0.08, "{seed}: {count} times the plants");
+        assert!(f1(&positions(&found), &truth) > 0.8, "{seed}");
+    }
+}
+
+#[test]
+#[ignore = "slow; cargo test -- --include-ignored"]
 fn the_papers_likelihood_drifts_from_the_truth_and_tempering_helps() {
     let (mask, truth) = field(Preset::Mid20, 0.0, 4);
     let paper = Model { form: Form::Conditional, ..Model::default() };

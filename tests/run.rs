@@ -372,6 +372,17 @@ fn the_main_job_needs_nothing() {
     }
     let f1 = |radius: usize| truth["score"]["radii"][radius]["f1"].as_f64().unwrap();
     assert!(f1(0) > 0.85 && f1(1) > 0.9, "{truth}");
+    // Leaves on a map of photos are wider than as drawn, and more so in the mask without its probabilities. Plants stand 20 cm apart.
+    let plants = truth["score"]["truth"].as_f64().unwrap();
+    let alone =
+        rowgram(folder.path(), "locate rowgram-run/rowgram/segment/mask.tif --json -o alone.csv");
+    let alone: Value = serde_json::from_str(&alone.stdout).unwrap();
+    for (located, limit) in [(&outcome["results"]["locate"], 0.035), (&alone, 0.05)] {
+        let found = located["plants"].as_f64().unwrap() / plants;
+        assert!((found - 1.0).abs() < limit, "{found} times the plants");
+        let spacing_m = located["spacing_m"].as_f64().unwrap();
+        assert!((spacing_m - 0.2).abs() < 0.01, "{spacing_m}");
+    }
     let project = folder.path().join("rowgram-run");
     crate::formats::assert_columns_are_documented(&project);
     crate::surface::assert_close_to_truth(&project);

@@ -1,127 +1,169 @@
 //! Fits the weights of the stand count (`rowgram::phenotype::stand_count`) to masks of which every plant is known.
 //!
 //! ```text
-//! experiments fit-stand-count --masks DIR --first 1000 --last 1004 \
+//! experiments fit-stand-count --masks DIR --first 1000 --last 1004 --flights DIR \
 //!     -o src/plants/src/phenotype/stand_count/weights.csv
 //! ```
 //!
-//! Takes the masks of every scenario with numbers from the first to the last, and writes the weights under which the true plants
-//! are likeliest, with the spacing that the locator finds.
+//! Takes the masks of every scenario with numbers from the first to the last and those of maps of synthetic flights, and writes the weights under which
+//! the true plants are likeliest, with the spacing that the locator finds.
 //! Penalised maximum likelihood by L-BFGS; the gradient is observed minus expected features.
 //!
-//! The weights in use are of masks 1000 to 1004 of 16 scenarios of an independent generator, and of as many of the presets of the same names:
-//! `rowgram synth mask --preset NAME --seed 301` to 305. The locator holds what describes a field within what those masks show.
-//! Masks are read as the locator reads them, which compares the leaves around a place with those around plants that the weights in use find: fitted
-//! again, weights move by 0.17 at most.
+//! The weights in use are of masks 1000 to 1004 of 16 scenarios of an independent generator, of as many of the presets of the same names
+//! (`rowgram synth mask --preset NAME --seed 301` to 305), and of twelve flights
+//! (`rowgram synth flight --preset small --stage mid --seed 101`, late 102, mid 103 and so on to late 112, `spacing_m` in field.toml 0.2, 0.16, 0.25, 0.14,
+//! 0.22 and 0.3 for two of them each; then `rowgram run --until segment`): leaves on a map of photos are wider than on a mask that is drawn.
+//! The locator holds what describes a field within what those masks show.
 
+use argmin::{
+    core::{CostFunction, Executor, Gradient},
+    solver::{linesearch::MoreThuenteLineSearch, quasinewton::LBFGS},
+};
 use rayon::prelude::*;
 use rowgram::{
-    io::{images, output, points},
+    io::{csv_table::CsvTable, images, output, points, rasters::Source},
     phenotype::{
         row_model::RowModelOptions,
         rows,
         rows_to_count::{RowsToCount, rows_to_count},
-        stand_count::{Lattice, PAIR_FEATURES, PLACE, PLACE_FEATURES, RowFeatures, Weights},
+        stand_count::{
+            Lattice, LeafWeights, PAIR, PAIR_FEATURES, PLACE, PLACE_FEATURES, RowFeatures, Weights,
+        },
     },
+    raster::Mask,
 };
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    sync::{Mutex, PoisonError},
+};
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+/// A mask with its true plants beside it.
+fn read_drawn(path: &Path) -> Result<RowsToCount, Box<dyn std::error::Error + Send + Sync>> {
+    read(path, &points::read(&path.with_extension("csv"))?, &images::read_mask(path)?)
+}
+
+/// The mask of the map that a flight's photos made, with the true plants.
+fn read_flight(folder: &Path) -> Result<RowsToCount, Box<dyn std::error::Error + Send + Sync>> {
+    let path = folder.join("rowgram/segment/mask.tif");
+    let place = Source::open(&path)?.georeference();
+    let place = place.ok_or_else(|| format!("{}: expected a georeference", path.display()))?;
+    let truth = folder.join("truth/plants.csv");
+    let at_m = CsvTable::read(&truth)?.pairs("easting_m", "northing_m");
+    let at_m =
+        at_m.ok_or_else(|| format!("{}: expected easting_m, northing_m", truth.display()))?;
+    let plants: Vec<[f64; 2]> = at_m.into_iter().filter_map(|at| place.pixel(at)).collect();
+    read(&path, &plants, &images::read_mask(&path)?)
 }
 
 /// What the locator reads of a mask, with the true plants on it.
-fn read(path: &Path) -> Result<RowsToCount, Box<dyn std::error::Error + Send + Sync>> {
-    let mask = images::read_mask(path)?;
-    let plants = points::read(&path.with_extension("csv"))?;
-    let detection = rows::detect(&mask);
+fn read(
+    path: &Path,
+    plants: &[[f64; 2]],
+    mask: &Mask,
+) -> Result<RowsToCount, Box<dyn std::error::Error + Send + Sync>> {
+    let detection = rows::detect(mask);
     let rows = detection.rows().ok_or_else(|| format!("{}: no rows", path.display()))?;
-    Ok(rows_to_count(&mask, rows, &plants, &RowModelOptions::default())?)
+    Ok(rows_to_count(mask, rows, plants, &RowModelOptions::default()))
 }
 
 /// The rows of a field that have plants, none of them farther apart than is thought possible.
-fn usable(field: &RowsToCount) -> impl Iterator<Item = (RowFeatures<'_>, &[usize])> {
+fn usable(field: &RowsToCount) -> impl Iterator<Item = FieldRow<'_>> {
     let rows = field.profiles.iter().zip(&field.plants).filter(|(_, plants)| plants.len() > 1);
-    rows.map(|(row, plants)| (RowFeatures::new(row, &field.overall, &field.spacing), &plants[..]))
-        .filter(|(row, plants)| plants.windows(2).all(|w| w[1] - w[0] < row.gap_limit()))
+    rows.map(|(row, plants)| FieldRow {
+        features: RowFeatures::new(row, &field.overall, &field.spacing),
+        plants,
+        stroke: field.overall.stroke,
+    })
+    .filter(|row| row.plants.windows(2).all(|w| w[1] - w[0] < row.features.gap_limit()))
 }
 
 /// Penalty for weights that differ from the start.
 const PENALTY: f64 = 1e-4;
-/// Steps of L-BFGS, at most.
-const ROUNDS: usize = 100;
+/// Steps of L-BFGS, at most; fewer where one changes the cost by less than the tolerance.
+const MAX_ROUNDS: u64 = 100;
+const TOLERANCE: f64 = 1e-7;
+/// Pairs of steps that it remembers.
+const REMEMBERED: usize = 12;
 
-/// All weights in one list, those of places first.
-fn flat(weights: &Weights) -> Vec<f64> {
-    weights.places.iter().chain(&weights.pairs).copied().collect()
+/// All weights in one list: of places and pairs, where leaves are narrow, then their changes.
+fn flat(weights: &LeafWeights) -> Vec<f64> {
+    let both = [&weights.narrow, &weights.change];
+    both.into_iter().flat_map(|of| of.places.iter().chain(&of.pairs)).copied().collect()
 }
 
-fn folded(flat: &[f64]) -> Weights {
-    let (places, pairs) = flat.split_at(PLACE);
-    Weights { places: std::array::from_fn(|k| places[k]), pairs: std::array::from_fn(|k| pairs[k]) }
+fn folded(flat: &[f64]) -> LeafWeights {
+    let [narrow, change] = [0, PLACE + PAIR].map(|from| Weights {
+        places: std::array::from_fn(|k| flat[from + k]),
+        pairs: std::array::from_fn(|k| flat[from + PLACE + k]),
+    });
+    LeafWeights { narrow, change }
 }
 
-/// Penalised maximum likelihood by L-BFGS, per plant.
-fn fit(fields: &[RowsToCount], start: &[f64]) -> Vec<f64> {
-    let rows: Vec<(RowFeatures<'_>, &[usize])> = fields.iter().flat_map(usable).collect();
-    let plants: f64 = rows.iter().map(|(_, plants)| plants.len() as f64).sum();
-    let cost = |w: &[f64]| {
-        let weights = folded(w);
-        let of_row = |(row, plants): &(RowFeatures<'_>, &[usize])| {
-            Lattice::new(row, &weights).log_likelihood(row, plants)
-        };
-        let parts: Vec<(f64, Weights)> = rows.par_iter().map(of_row).collect();
-        let mut gradient: Vec<f64> = w.iter().zip(start).map(|(w, s)| PENALTY * (w - s)).collect();
-        let mut value: f64 =
-            w.iter().zip(start).map(|(w, s)| 0.5 * PENALTY * (w - s).powi(2)).sum();
-        for (v, g) in parts {
-            value -= v / plants;
-            gradient.iter_mut().zip(flat(&g)).for_each(|(sum, g)| *sum -= g / plants);
-        }
-        (value, gradient)
-    };
-    let mut w = start.to_vec();
-    let (mut value, mut gradient) = cost(&w);
-    let mut memory: Vec<(Vec<f64>, Vec<f64>)> = Vec::new();
-    for _ in 0..ROUNDS {
-        let mut step: Vec<f64> = gradient.iter().map(|g| -g).collect();
-        let mut shares = Vec::new();
-        for (s, y) in memory.iter().rev() {
-            let share = dot(s, &step) / dot(s, y);
-            step.iter_mut().zip(y).for_each(|(d, y)| *d -= share * y);
-            shares.push(share);
-        }
-        let scale = memory.last().map_or_else(
-            || 0.3 / dot(&gradient, &gradient).sqrt().max(0.3),
-            |(s, y)| dot(s, y) / dot(y, y),
-        );
-        step.iter_mut().for_each(|d| *d *= scale);
-        for ((s, y), share) in memory.iter().zip(shares.into_iter().rev()) {
-            let other = dot(y, &step) / dot(s, y);
-            step.iter_mut().zip(s).for_each(|(d, s)| *d += (share - other) * s);
-        }
-        let slope = dot(&gradient, &step);
-        let Some((next, (lower, new))) = (0..8).find_map(|k| {
-            let length = 0.4_f64.powi(k);
-            let next: Vec<f64> = w.iter().zip(&step).map(|(w, d)| w + length * d).collect();
-            let there = cost(&next);
-            (there.0 <= value + 1e-4 * length * slope).then_some((next, there))
-        }) else {
-            break;
-        };
-        let s: Vec<f64> = next.iter().zip(&w).map(|(a, b)| a - b).collect();
-        let y: Vec<f64> = new.iter().zip(&gradient).map(|(a, b)| a - b).collect();
-        if dot(&s, &y) > 1e-12 {
-            memory.push((s, y));
-            memory.drain(..memory.len().saturating_sub(12));
-        }
-        let gain = value - lower;
-        (w, value, gradient) = (next, lower, new);
-        if gain < 1e-7 {
-            break;
-        }
+/// A row of a field, and how wide its leaves are.
+struct FieldRow<'f> {
+    features: RowFeatures<'f>,
+    plants: &'f [usize],
+    stroke: f64,
+}
+
+/// The penalised likelihood of all plants, per plant, with its sign changed.
+struct Cost<'f> {
+    rows: Vec<FieldRow<'f>>,
+    plants: f64,
+    start: &'f [f64],
+    /// The last weights with their cost and its gradient: argmin asks for them one after the other.
+    last: Mutex<(Vec<f64>, f64, Vec<f64>)>,
+}
+
+impl<'f> Cost<'f> {
+    fn new(fields: &'f [RowsToCount], start: &'f [f64]) -> Cost<'f> {
+        let rows: Vec<FieldRow<'f>> = fields.iter().flat_map(usable).collect();
+        let plants = rows.iter().map(|row| row.plants.len() as f64).sum();
+        Cost { rows, plants, start, last: Mutex::default() }
     }
-    w
+
+    fn at(&self, w: &[f64]) -> (f64, Vec<f64>) {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        if last.0 != w {
+            let weights = folded(w);
+            let of_row = |row: &FieldRow<'_>| {
+                let lattice = Lattice::new(&row.features, &weights.at(row.stroke));
+                lattice.log_likelihood(&row.features, row.plants)
+            };
+            let parts: Vec<(f64, Weights)> = self.rows.par_iter().map(of_row).collect();
+            let off = || w.iter().zip(self.start).map(|(w, s)| w - s);
+            let mut gradient: Vec<f64> = off().map(|off| PENALTY * off).collect();
+            let mut value: f64 = off().map(|off| 0.5 * PENALTY * off * off).sum();
+            for ((v, g), row) in parts.into_iter().zip(&self.rows) {
+                value -= v / self.plants;
+                let by = LeafWeights::wideness(row.stroke);
+                for (k, g) in g.places.into_iter().chain(g.pairs).enumerate() {
+                    gradient[k] -= g / self.plants;
+                    gradient[PLACE + PAIR + k] -= by * g / self.plants;
+                }
+            }
+            *last = (w.to_vec(), value, gradient);
+        }
+        (last.1, last.2.clone())
+    }
+}
+
+impl CostFunction for Cost<'_> {
+    type Param = Vec<f64>;
+    type Output = f64;
+
+    fn cost(&self, w: &Vec<f64>) -> Result<f64, argmin::core::Error> {
+        Ok(self.at(w).0)
+    }
+}
+
+impl Gradient for Cost<'_> {
+    type Param = Vec<f64>;
+    type Gradient = Vec<f64>;
+
+    fn gradient(&self, w: &Vec<f64>) -> Result<Vec<f64>, argmin::core::Error> {
+        Ok(self.at(w).1)
+    }
 }
 
 /// Masks, and where the weights go.
@@ -136,6 +178,9 @@ pub(crate) struct FitStandCount {
     /// Number of the last mask of each scenario.
     #[arg(long, default_value_t = 1004)]
     last: u32,
+    /// Folder of synthetic flights, each a project whose map has a leaf mask.
+    #[arg(long, value_name = "DIR")]
+    flights: PathBuf,
     /// Where the weights go (CSV); replaced if it is there.
     #[arg(short, long, value_name = "CSV")]
     output: PathBuf,
@@ -151,37 +196,51 @@ pub(crate) fn run(args: &FitStandCount) -> Result<(), rowgram::Error> {
     };
     let weights = weights(args).map_err(failed)?;
     output::write(&args.output, true, |out| {
-        writeln!(out, "feature,weight")?;
+        writeln!(out, "feature,weight,change")?;
+        let (narrow, change) = weights.split_at(PLACE + PAIR);
         let names = PLACE_FEATURES.iter().chain(&PAIR_FEATURES);
-        for (name, weight) in names.zip(&weights) {
-            writeln!(out, "{name},{weight:.4}")?;
+        for ((name, weight), change) in names.zip(narrow).zip(change) {
+            writeln!(out, "{name},{weight:.4},{change:.4}")?;
         }
         Ok(())
     })?;
     Ok(())
 }
 
+/// The folders in a folder.
+fn folders(of: &Path) -> std::io::Result<Vec<PathBuf>> {
+    let all: Vec<PathBuf> =
+        std::fs::read_dir(of)?.map(|of| Ok(of?.path())).collect::<std::io::Result<_>>()?;
+    let mut folders: Vec<PathBuf> = all.into_iter().filter(|path| path.is_dir()).collect();
+    folders.sort();
+    Ok(folders)
+}
+
 /// The masks of every scenario with numbers from the first to the last, but those of a whole field, which are large.
 fn masks(folder: &Path, first: u32, last: u32) -> std::io::Result<Vec<PathBuf>> {
     let mut paths = Vec::new();
-    for scenario in std::fs::read_dir(folder)? {
-        let scenario = scenario?.path();
+    for scenario in folders(folder)? {
         let masks = (first..=last).map(|number| scenario.join(format!("{number}.png")));
         if !scenario.ends_with("whole_field") {
             paths.extend(masks.filter(|path| path.exists()));
         }
     }
-    paths.sort();
     Ok(paths)
 }
 
 fn weights(args: &FitStandCount) -> Result<Vec<f64>, Box<dyn std::error::Error + Send + Sync>> {
     let paths = masks(&args.masks, args.first, args.last)?;
-    let fields: Vec<RowsToCount> =
-        paths.par_iter().map(|path| read(path)).collect::<Result<_, _>>()?;
-    // The weights of the score by which the spacing is found, about.
-    let mut start = Weights::default();
-    start.places[..2].copy_from_slice(&[1.1, 6.0]);
-    start.pairs[..4].copy_from_slice(&[1.0, -12.0, 0.0, -1.0]);
-    Ok(fit(&fields, &flat(&start)))
+    let mut fields: Vec<RowsToCount> =
+        paths.par_iter().map(|path| read_drawn(path)).collect::<Result<_, _>>()?;
+    let flights = folders(&args.flights)?;
+    let of_flights: Vec<RowsToCount> =
+        flights.par_iter().map(|path| read_flight(path)).collect::<Result<_, _>>()?;
+    fields.extend(of_flights);
+    let start = flat(&LeafWeights { narrow: Weights::by_hand(), change: Weights::default() });
+    let solver =
+        LBFGS::new(MoreThuenteLineSearch::new(), REMEMBERED).with_tolerance_cost(TOLERANCE)?;
+    let found = Executor::new(Cost::new(&fields, &start), solver)
+        .configure(|state| state.param(start.clone()).max_iters(MAX_ROUNDS))
+        .run()?;
+    found.state.best_param.ok_or_else(|| "no weights are likelier than the first".into())
 }

@@ -71,9 +71,9 @@ pub(super) struct LeafAxes {
     pub(super) axis: Vec<[i8; 2]>,
 }
 
-/// The whole factor by which the grid of a mask of broad leaves is reduced.
-pub fn factor(mask: &Mask) -> usize {
-    (stroke_px(mask) / STROKE_PX).floor().max(1.0) as usize
+/// The whole factor by which the grid of a mask is reduced whose leaves are so broad.
+pub(super) fn factor(stroke_px: f64) -> usize {
+    (stroke_px / STROKE_PX).max(1.0) as usize
 }
 
 impl<'m> Evidence<'m> {
@@ -185,7 +185,7 @@ impl LeafAxes {
 /// Width of the strokes from the lengths of their runs, along rows and columns. A line that crosses a strip of width `w` in any direction is in
 /// it for `pi w / 2` on average, and for at most `2 w / sqrt(3)` in half of all cases. Where leaves have grown together the mean says too much, where plants
 /// are round the median does, so the smaller one counts.
-fn stroke_px(mask: &Mask) -> f64 {
+pub(super) fn stroke_px(mask: &Mask) -> f64 {
     let mut runs = vec![0_u64; LONGEST_RUN + 1];
     let mut end = |length: &mut usize| {
         runs[(*length).min(LONGEST_RUN)] += u64::from(*length > 0);

@@ -27,8 +27,8 @@ use rowgram_raster::Mask;
 const LEAVES: f64 = 1.9;
 /// Spacing of isolated plants as shares of the distance of their patches of leaf, some of which are two plants.
 const PATCHES: [f64; 2] = [0.7, 1.3];
-/// Distance of neighbouring plants in the grid, where it is the plants that decide what the grid is.
-const TARGET_SPACING_PX: f64 = 13.0;
+/// Distance of neighbouring plants on a grid that is coarser than the mask, at least. As the average of the fields to which the stand count was fitted.
+const MIN_SPACING_PX: f64 = 13.0;
 /// Length of the rows on which the spacing is estimated, about.
 const SAMPLE: f64 = 6000.0;
 /// Length of the rows that show what is usual of plants, and what a plant is worth where their number is given, about.
@@ -68,17 +68,43 @@ pub(super) struct RowEvidence<'m> {
     mean: f64,
     mass: f64,
     length: f64,
+    /// Width of leaves, in pixels of the reduced grid.
+    stroke: f64,
     /// Distance of isolated plants, in pixels of the reduced grid.
     isolated_spacing: Option<f64>,
     pub(super) options: RowModelOptions,
 }
 
 impl<'m> RowEvidence<'m> {
-    pub(super) fn new(mask: &'m Mask, rows: &Rows, options: &RowModelOptions) -> RowEvidence<'m> {
-        // Isolated plants are as far from each other, in pixels of the grid, as in a closed canopy.
+    /// The evidence of rows, and the spacing of their plants: on a grid with strokes as wide as votes work best with, or on a finer one where plants
+    /// would be less than [`MIN_SPACING_PX`] apart. On a map made of photos leaves are that wide although plants are close together.
+    pub(super) fn with_spacing(
+        mask: &'m Mask,
+        rows: &Rows,
+        count: Option<usize>,
+        options: &RowModelOptions,
+    ) -> (RowEvidence<'m>, Spacing) {
         let isolated_px = isolated_plants::spacing_px(mask, rows);
-        let coarse = isolated_px.map_or(1.0, |spacing| spacing / TARGET_SPACING_PX);
-        let factor = evidence::factor(mask).max(coarse.round() as usize);
+        let stroke_px = evidence::stroke_px(mask);
+        let mut factor = evidence::factor(stroke_px).max(isolated_px.map_or(1, grid_factor));
+        loop {
+            let evidence = RowEvidence::new(mask, rows, factor, (stroke_px, isolated_px), options);
+            let spacing = evidence.spacing(count);
+            let wanted = grid_factor(spacing.spacing * factor as f64);
+            if wanted >= factor {
+                return (evidence, spacing);
+            }
+            factor = wanted;
+        }
+    }
+
+    fn new(
+        mask: &'m Mask,
+        rows: &Rows,
+        factor: usize,
+        (stroke_px, isolated_px): (f64, Option<f64>),
+        options: &RowModelOptions,
+    ) -> RowEvidence<'m> {
         let evidence = Evidence::new(mask, rows.axes.heading_rad, factor);
         let factor = evidence.factor as f64;
         let axes = Axes { origin_px: evidence.reduced(rows.axes.origin_px), ..rows.axes };
@@ -102,6 +128,7 @@ impl<'m> RowEvidence<'m> {
             mean: 0.0,
             mass: 0.0,
             length,
+            stroke: stroke_px / factor,
             isolated_spacing: isolated_px.map(|spacing| spacing / factor),
             options: *options,
         };
@@ -149,7 +176,7 @@ impl<'m> RowEvidence<'m> {
     }
 
     /// The spacing of plants whose number is given, or the likeliest one.
-    pub(super) fn spacing(&self, count: Option<usize>) -> Spacing {
+    fn spacing(&self, count: Option<usize>) -> Spacing {
         let (sample, overall) = (self.sample(SAMPLE), self.overall());
         let first = match count {
             Some(count) => SPACING_SHARE * self.length / count as f64,
@@ -219,6 +246,7 @@ impl<'m> RowEvidence<'m> {
             outside: (1.0 - self.mass / leaf.max(f64::MIN_POSITIVE)).max(0.0),
             mass: self.mass / places.max(1) as f64,
             contrast: variance.sqrt(),
+            stroke: self.stroke,
             cover: self.mass / (self.length * f64::from(2 * BAND + 1)).max(f64::MIN_POSITIVE),
         }
     }
@@ -276,18 +304,19 @@ impl<'m> RowEvidence<'m> {
         tried[rivals.fold(likeliest, |best, k| if bare(k) > bare(best) { k } else { best })].1
     }
 
-    /// Compares the leaves around all places with those around plants of some rows, which are found without that.
-    pub(super) fn compare_with_plants(&mut self, spacing: &Spacing) -> Result<(), LocateError> {
-        let (rows, profiles) = self.counted();
-        let posteriors = row_posteriors(&profiles, &self.overall(), spacing, 0.0)?;
-        let expected: f64 = posteriors.iter().map(|row| row.count).sum();
-        let found = Self::places(&posteriors, spacing, expected.round() as usize);
+    /// Compares the leaves around all places with those around the best plants of some rows, which are found without that.
+    pub(super) fn compare_with_plants(&mut self, spacing: &Spacing) {
+        let overall = self.overall();
+        let best: Vec<(usize, Vec<usize>)> = self
+            .sample(COUNTED)
+            .into_par_iter()
+            .map(|row| (row, self.by_hand(row, &overall, spacing).best()))
+            .collect();
         let mut plants = vec![vec![]; self.profiles.len()];
-        for (row, places) in rows.into_iter().zip(found) {
+        for (row, places) in best {
             plants[row] = places;
         }
         self.compare_surroundings(&plants);
-        Ok(())
     }
 
     /// Looks at the leaves around every other place, which are compared with those of these plants.
@@ -361,6 +390,11 @@ impl<'m> RowEvidence<'m> {
 
 pub(super) fn total(places: &[Vec<usize>]) -> usize {
     places.iter().map(Vec::len).sum()
+}
+
+/// The greatest whole factor by which a grid can be coarser than the mask with neighbouring plants still [`MIN_SPACING_PX`] apart.
+fn grid_factor(spacing_px: f64) -> usize {
+    (spacing_px / MIN_SPACING_PX).max(1.0) as usize
 }
 
 /// Gaps between the plants of the same row.

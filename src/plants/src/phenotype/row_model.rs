@@ -176,7 +176,7 @@ fn by_votes(
             return Err(LocateError::NoRows { contrast, prominence });
         }
     };
-    let (evidence, spacing) = read_rows(mask, rows, count, options)?;
+    let (evidence, spacing) = read_rows(mask, rows, count, options);
     let posteriors = evidence.posteriors(&spacing, count)?;
     let expected: f64 = posteriors.iter().map(|row| row.count).sum();
     let wanted = count.unwrap_or((expected.round() as usize).max(1));

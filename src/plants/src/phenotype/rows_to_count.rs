@@ -1,8 +1,8 @@
 //! The rows of a mask as they are when their plants are counted ([`super::stand_count`]).
 
 use super::{
-    locate::LocateError, plant_spacing::Spacing, row_evidence::RowEvidence,
-    row_model::RowModelOptions, row_profile::Profile, rows::Rows, stand_count::Overall,
+    plant_spacing::Spacing, row_evidence::RowEvidence, row_model::RowModelOptions,
+    row_profile::Profile, rows::Rows, stand_count::Overall,
 };
 use rowgram_raster::Mask;
 
@@ -15,12 +15,11 @@ pub(super) fn read_rows<'m>(
     rows: &Rows,
     count: Option<usize>,
     options: &RowModelOptions,
-) -> Result<(RowEvidence<'m>, Spacing), LocateError> {
-    let mut evidence = RowEvidence::new(mask, rows, options);
-    let spacing = evidence.spacing(count);
+) -> (RowEvidence<'m>, Spacing) {
+    let (mut evidence, spacing) = RowEvidence::with_spacing(mask, rows, count, options);
     evidence.cut(&spacing);
-    evidence.compare_with_plants(&spacing)?;
-    Ok((evidence, spacing))
+    evidence.compare_with_plants(&spacing);
+    (evidence, spacing)
 }
 
 /// What the weights of the stand count are fitted to.
@@ -37,16 +36,13 @@ pub struct RowsToCount {
 }
 
 /// Reads the rows of a mask, and puts plants on them.
-///
-/// # Errors
-/// The weights of the stand count are damaged.
 pub fn rows_to_count(
     mask: &Mask,
     rows: &Rows,
     plants_px: &[[f64; 2]],
     options: &RowModelOptions,
-) -> Result<RowsToCount, LocateError> {
-    let (evidence, spacing) = read_rows(mask, rows, None, options)?;
+) -> RowsToCount {
+    let (evidence, spacing) = read_rows(mask, rows, None, options);
     let reach =
         NEAR_ROW * rows.spacing_px.map_or(f64::INFINITY, |px| px / evidence.evidence.factor as f64);
     let mut plants = vec![Vec::new(); evidence.profiles.len()];
@@ -61,5 +57,5 @@ pub fn rows_to_count(
         }
         row.retain(|&step| step < profile.votes.len());
     }
-    Ok(RowsToCount { overall: evidence.overall(), spacing, profiles: evidence.profiles, plants })
+    RowsToCount { overall: evidence.overall(), spacing, profiles: evidence.profiles, plants }
 }

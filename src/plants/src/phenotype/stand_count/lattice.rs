@@ -267,14 +267,14 @@ mod tests {
     }
 
     const OVERALL: Overall =
-        Overall { mean: 0.5, mass: 0.7, contrast: 0.5, cover: 0.3, outside: 0.2 };
+        Overall { mean: 0.5, mass: 0.7, contrast: 0.5, cover: 0.3, outside: 0.2, stroke: 5.0 };
     const GAPS: Spacing = Spacing { spacing: 3.0, jitter: 0.2, missing: 0.1, doubles: 0.05 };
 
     #[test]
     fn expected_plants_agree_with_brute_force() {
         let profile = profile(15);
         let row = RowFeatures::new(&profile, &OVERALL, &GAPS);
-        let weights = fitted().unwrap();
+        let weights = &fitted().unwrap().at(5.0);
         let lattice = Lattice::new(&row, weights);
         for plant_log_odds in [0.0, 0.7] {
             let (mut all, mut number, mut square, mut marginals) = (0.0, 0.0, 0.0, [0.0; 15]);
@@ -323,7 +323,7 @@ mod tests {
         profile.surroundings = (0..20).map(|k| f64::from(k).sin()).collect();
         let row = RowFeatures::new(&profile, &OVERALL, &GAPS);
         let plants = [4, 10, 13, 26];
-        let weights = fitted().unwrap();
+        let weights = &fitted().unwrap().at(5.0);
         let at = |weights: &Weights| Lattice::new(&row, weights).log_likelihood(&row, &plants);
         let (value, slope) = at(weights);
         assert!(value < 0.0, "{value}");

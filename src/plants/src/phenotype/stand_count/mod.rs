@@ -7,7 +7,8 @@
 //! `f` what the votes show at a place (height, local contrast, peakedness, leaf mass, and how these depend
 //! on the field's own contrast, cover and spacing), `g` what they show between neighbours (log density of
 //! the gap, votes that both claim, how deep the votes fall between them, leaf mass that neither covers).
-//! The weights maximise the likelihood of the true plants of synthetic fields given what their masks show.
+//! The weights maximise the likelihood of the true plants of synthetic fields given what their masks show, and change with the width of leaves, which
+//! are wider on maps made of photos than on masks that are drawn ([`LeafWeights`]).
 //! At that maximum the expected features are the true ones, the number of plants
 //! among them, which no other score of places promises.
 //!
@@ -34,7 +35,7 @@ pub use places::likeliest_places;
 use rayon::prelude::*;
 use rowgram_optim::engine::SolveError;
 use weights::fitted;
-pub use weights::{PAIR_FEATURES, PLACE_FEATURES, Weights};
+pub use weights::{LeafWeights, PAIR_FEATURES, PLACE_FEATURES, Weights};
 
 /// Number of features of a place.
 pub const PLACE: usize = 27;
@@ -50,6 +51,8 @@ pub struct Overall {
     pub mass: f64,
     /// Standard deviation of the square root of the votes over their mean.
     pub contrast: f64,
+    /// Width of leaves.
+    pub stroke: f64,
     /// Share of leaf in the bands along the rows.
     pub cover: f64,
     /// Share of all leaf that is outside these bands.
@@ -77,9 +80,9 @@ pub fn row_posteriors(
     spacing: &Spacing,
     plant_log_odds: f64,
 ) -> Result<Vec<RowPosterior>, SolveError> {
-    let weights = fitted().map_err(SolveError::Misuse)?;
+    let weights = fitted().map_err(SolveError::Misuse)?.at(overall.stroke);
     let of_row = |profile: &&Profile| {
-        let lattice = Lattice::new(&RowFeatures::new(profile, overall, spacing), weights);
+        let lattice = Lattice::new(&RowFeatures::new(profile, overall, spacing), &weights);
         let marginals = lattice.marginals(plant_log_odds);
         let (count, count_variance) = lattice.count(0.0);
         RowPosterior { marginals, count, count_variance }
@@ -102,9 +105,9 @@ pub fn log_odds_of(
     const MAX_LOG_ODDS: f64 = 20.0;
     /// Halvings of the range, to 0.04: the number of plants is met exactly afterwards, by taking the likeliest places.
     const HALVINGS: usize = 10;
-    let weights = fitted().map_err(SolveError::Misuse)?;
+    let weights = fitted().map_err(SolveError::Misuse)?.at(overall.stroke);
     let scores =
-        |profile: &&Profile| Lattice::new(&RowFeatures::new(profile, overall, spacing), weights);
+        |profile: &&Profile| Lattice::new(&RowFeatures::new(profile, overall, spacing), &weights);
     let lattices: Vec<Lattice> = profiles.par_iter().map(scores).collect();
     let expected = |odds: f64| -> f64 {
         let counts: Vec<f64> = lattices.par_iter().map(|lattice| lattice.count(odds).0).collect();

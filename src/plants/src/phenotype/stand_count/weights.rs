@@ -1,6 +1,6 @@
 //! The weights of the stand count, from a file that `experiments fit-stand-count` writes.
 //!
-//! `weights.csv` has a row for each feature: its name and its weight.
+//! `weights.csv` has a row for each feature: its name, its weight where leaves are narrow, and by how much it changes where they are wider.
 
 use super::{PAIR, PLACE, features::UNCOVERED};
 use std::sync::LazyLock;
@@ -82,18 +82,48 @@ impl Weights {
     }
 }
 
-static FITTED: LazyLock<Result<Weights, String>> =
+/// Weights by the width of leaves.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LeafWeights {
+    /// Where leaves are as narrow as on masks that are drawn.
+    pub narrow: Weights,
+    /// By how much they change where leaves are `e` times as wide.
+    pub change: Weights,
+}
+
+impl LeafWeights {
+    /// Between which widths leaves were to which the weights were fitted, in pixels of the reduced grid.
+    const STROKES: [f64; 2] = [3.6, 8.5];
+
+    /// What the change counts for leaves of this width.
+    pub fn wideness(stroke: f64) -> f64 {
+        let [narrow, wide] = LeafWeights::STROKES;
+        (stroke.clamp(narrow, wide) / narrow).ln()
+    }
+
+    /// The weights for leaves of this width.
+    pub fn at(&self, stroke: f64) -> Weights {
+        let by = LeafWeights::wideness(stroke);
+        let LeafWeights { narrow, change } = self;
+        Weights {
+            places: std::array::from_fn(|k| narrow.places[k] + by * change.places[k]),
+            pairs: std::array::from_fn(|k| narrow.pairs[k] + by * change.pairs[k]),
+        }
+    }
+}
+
+static FITTED: LazyLock<Result<LeafWeights, String>> =
     LazyLock::new(|| parse(include_str!("weights.csv")));
 
 /// The weights.
 ///
 /// # Errors
 /// A file of weights that does not have the features: what was expected.
-pub(super) fn fitted() -> Result<&'static Weights, String> {
+pub(super) fn fitted() -> Result<&'static LeafWeights, String> {
     FITTED.as_ref().map_err(Clone::clone)
 }
 
-fn parse(text: &str) -> Result<Weights, String> {
+fn parse(text: &str) -> Result<LeafWeights, String> {
     let names = PLACE_FEATURES.iter().chain(&PAIR_FEATURES);
     let lines: Vec<&str> = text.lines().skip(1).collect();
     if lines.len() != PLACE + PAIR {
@@ -103,17 +133,24 @@ fn parse(text: &str) -> Result<Weights, String> {
             PLACE + PAIR
         ));
     }
-    let mut weights = [0.0; PLACE + PAIR];
-    for ((weight, line), name) in weights.iter_mut().zip(&lines).zip(names) {
+    let mut weights = [[0.0; PLACE + PAIR]; 2];
+    for (k, (line, name)) in lines.iter().zip(names).enumerate() {
         let refuse =
-            || format!("weights of the stand count: {line:?}, expected {name:?} and a number");
-        let cell = line.strip_prefix(name).and_then(|rest| rest.strip_prefix(','));
-        *weight = cell.and_then(|cell| cell.parse().ok()).ok_or_else(refuse)?;
+            || format!("weights of the stand count: {line:?}, expected {name:?} and two numbers");
+        let cells: Vec<&str> = line.split(',').collect();
+        let [feature, narrow, change] = cells[..] else { return Err(refuse()) };
+        if feature != *name {
+            return Err(refuse());
+        }
+        for (column, cell) in weights.iter_mut().zip([narrow, change]) {
+            column[k] = cell.parse().map_err(|_| refuse())?;
+        }
     }
-    Ok(Weights {
+    let [narrow, change] = weights.map(|weights| Weights {
         places: std::array::from_fn(|k| weights[k]),
         pairs: std::array::from_fn(|k| weights[PLACE + k]),
-    })
+    });
+    Ok(LeafWeights { narrow, change })
 }
 
 #[cfg(test)]
@@ -123,7 +160,12 @@ mod tests {
     #[test]
     fn the_file_has_a_weight_for_every_feature() {
         let fitted = fitted().unwrap();
-        assert!(fitted.places.iter().chain(&fitted.pairs).all(|&weight| weight != 0.0));
+        for Weights { places, pairs } in [&fitted.narrow, &fitted.change] {
+            assert!(places.iter().chain(pairs).all(|&weight| weight != 0.0));
+        }
+        assert_eq!(fitted.at(2.0), fitted.narrow);
+        let wide = fitted.at(3.6 * 1.0_f64.exp());
+        assert_eq!(wide, fitted.at(8.5), "no change beyond what the fields showed");
         let text = include_str!("weights.csv");
         for wrong in [
             text.replacen("cover,", "covers,", 1),
