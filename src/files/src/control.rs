@@ -16,16 +16,16 @@
 
 mod marks;
 
-pub use super::image_names::Names;
 pub use marks::{MarkRow, MarkSource, MarkTable, marks};
 
 use super::{
     FileError,
     columns::{self, Coordinates, IMAGE, LABEL},
+    image_names::Names,
     table::{Column, Table},
 };
 use rowgram_survey::scene::{
-    Axes, CameraPosition, Excluded, ExcludedKind, GroundPoint, Image, Role, ScaleBar,
+    Axes, CameraPosition, Excluded, ExcludedKind, GroundPoint, Role, ScaleBar,
 };
 use std::{collections::HashSet, path::Path};
 
@@ -199,9 +199,9 @@ fn no_such_image(kind: ExcludedKind, image: &str, point: Option<&str>) -> Exclud
     }
 }
 
-fn nothing_matches(aside: &[Excluded], images: &[Image]) -> String {
+fn nothing_matches(aside: &[Excluded], names: &Names<'_>) -> String {
     let theirs = aside.first().and_then(|a| a.image.as_deref()).unwrap_or("none");
-    let ours = images.first().map_or("none", |image| image.name.as_str());
+    let ours = names.first().unwrap_or("none");
     format!(
         "no row names an image of the block; the file has names like {theirs:?}, the block like {ours:?}"
     )
@@ -214,13 +214,12 @@ fn nothing_matches(aside: &[Excluded], images: &[Image]) -> String {
 /// matches.
 pub fn positions(
     path: &Path,
-    images: &[Image],
+    names: &Names<'_>,
     defaults: &Defaults,
 ) -> Result<(Vec<CameraPosition>, Vec<Excluded>), FileError> {
     let table = Table::read(path)?;
     let image = table.required("image", IMAGE)?;
     let coordinates = Coordinates::in_metres(&table)?;
-    let names = Names::new(images);
     let mut found = Vec::new();
     let mut aside = Vec::new();
     let mut seen = HashSet::new();
@@ -239,7 +238,7 @@ pub fn positions(
         }
     }
     if found.is_empty() {
-        return Err(table.whole_fault(nothing_matches(&aside, images)));
+        return Err(table.whole_fault(nothing_matches(&aside, names)));
     }
     Ok((found, aside))
 }

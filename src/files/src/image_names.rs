@@ -15,7 +15,7 @@ pub struct Names<'a> {
     whole: HashMap<String, usize>,
     /// By the last parts of the path, and by the stem in lower case; none where several have it.
     ends: HashMap<String, Option<usize>>,
-    images: &'a [Image],
+    names: Vec<&'a str>,
 }
 
 /// What a name may be shortened to: without its first folders, without its ending.
@@ -33,20 +33,38 @@ fn shortened(name: &str) -> Vec<String> {
 }
 
 impl<'a> Names<'a> {
-    /// The names of `images`.
-    pub fn new(images: &'a [Image]) -> Names<'a> {
-        let mut names = Names { whole: HashMap::new(), ends: HashMap::new(), images };
-        for (k, image) in images.iter().enumerate() {
-            let name = composed(&image.name);
+    /// Images in the order of their names.
+    pub fn new(names: impl IntoIterator<Item = &'a str>) -> Names<'a> {
+        let names: Vec<&str> = names.into_iter().collect();
+        let (mut whole, mut ends) = (HashMap::new(), HashMap::new());
+        for (k, name) in names.iter().enumerate() {
+            let name = composed(name);
             for end in shortened(&name) {
-                let place = names.ends.entry(end).or_insert(Some(k));
+                let place = ends.entry(end).or_insert(Some(k));
                 if *place != Some(k) {
                     *place = None;
                 }
             }
-            names.whole.insert(name, k);
+            whole.insert(name, k);
         }
-        names
+        Names { whole, ends, names }
+    }
+
+    /// The names of the images of a block.
+    pub fn of(images: &'a [Image]) -> Names<'a> {
+        Names::new(images.iter().map(|image| image.name.as_str()))
+    }
+
+    /// The name of the first image, where there is any.
+    pub fn first(&self) -> Option<&'a str> {
+        self.names.first().copied()
+    }
+
+    /// The names of all images that this shortened name may mean.
+    pub fn meant(&self, name: &str) -> Vec<&'a str> {
+        let ends = shortened(&composed(name));
+        let is_meant = |of: &&&str| shortened(&composed(of)).iter().any(|end| ends.contains(end));
+        self.names.iter().filter(is_meant).copied().collect()
     }
 
     /// The place of the image of this name.
@@ -59,7 +77,7 @@ impl<'a> Names<'a> {
             let found = self.ends.get(end).copied().flatten()?;
             // Folders on both sides have to agree.
             let by_file_alone = !end.contains('/') && name.contains('/');
-            (!by_file_alone || !self.images[found].name.contains('/')).then_some(found)
+            (!by_file_alone || !self.names[found].contains('/')).then_some(found)
         };
         whole.or_else(shorter).map(|k| k as u32)
     }
@@ -71,8 +89,8 @@ impl<'a> Names<'a> {
             let groups = file.split(|c: char| !c.is_ascii_digit()).filter(|g| !g.is_empty());
             groups.filter_map(|group| group.parse().ok()).collect()
         };
-        let mut found = (0..self.images.len())
-            .filter(|&k| numbers(&self.images[k].name).last() == Some(&number));
+        let mut found =
+            (0..self.names.len()).filter(|&k| numbers(self.names[k]).last() == Some(&number));
         found.next().filter(|_| found.next().is_none()).map(|k| k as u32)
     }
 }
@@ -80,30 +98,16 @@ impl<'a> Names<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rowgram_survey::scene::Pose;
-
-    fn images(names: &[&str]) -> Vec<Image> {
-        let pose = Pose { rotation: [1.0, 0.0, 0.0, 0.0], translation: [0.0; 3] };
-        let image = |name: &&str| Image {
-            name: (*name).to_owned(),
-            id: 0,
-            camera: 0,
-            pose,
-            motion: [0.0; 6],
-            expected_motion: [0.0; 6],
-        };
-        names.iter().map(image).collect()
-    }
 
     #[test]
     fn images_are_found_by_what_others_call_them() {
-        let images = images(&[
+        let names = Names::new([
             "100MEDIA/DJI_0001.JPG",
             "101MEDIA/DJI_0001.JPG",
             "101MEDIA/DJI_0002.JPG",
             "Ko\u{308}ln.jpg",
         ]);
-        let names = Names::new(&images);
+        assert_eq!(names.meant("DJI_0001"), ["100MEDIA/DJI_0001.JPG", "101MEDIA/DJI_0001.JPG"]);
         for (name, found) in [
             ("100MEDIA/DJI_0001.JPG", Some(0)),
             ("101MEDIA\\DJI_0001.JPG", Some(1)),

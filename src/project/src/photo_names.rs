@@ -1,37 +1,26 @@
 //! Names of photos: which one somebody means, and what files made of photos are called.
 
 use rowgram_base::error::Error;
+use rowgram_files::image_names::Names;
 use std::{
     collections::{HashMap, HashSet},
     path::{Path, PathBuf},
 };
 
-fn stem(name: &str) -> Option<&str> {
-    Path::new(name).file_stem().and_then(|stem| stem.to_str())
-}
-
-/// The number of the photo that somebody names, in full or without folder and ending.
+/// The number of the photo that somebody names, in full or as much of it as no other photo has.
 ///
 /// # Errors
-/// A name of none, or of several without their folders.
+/// A name of none, or of several.
 pub(super) fn number_of<'a>(
     photos: impl IntoIterator<Item = &'a str>,
     wanted: &str,
 ) -> Result<usize, String> {
-    let photos: Vec<&str> = photos.into_iter().collect();
-    if let Some(exact) = photos.iter().position(|name| *name == wanted) {
-        return Ok(exact);
-    }
-    let is = |name: &str| Some(name) == stem(wanted) || stem(name) == Some(wanted);
-    let found: Vec<usize> = (0..photos.len()).filter(|&k| is(photos[k])).collect();
-    match found[..] {
-        [one] => Ok(one),
-        [] => Err(format!("there is no photo {wanted:?} with a pose")),
-        _ => {
-            let all: Vec<&str> = found.into_iter().map(|k| photos[k]).collect();
-            Err(format!("photo {wanted:?} may be any of {}; name it in full", all.join(", ")))
-        }
-    }
+    let names = Names::new(photos);
+    names.find(wanted).map(|k| k as usize).ok_or_else(|| match names.meant(wanted)[..] {
+        [] => format!("there is no photo {wanted:?} with a pose"),
+        [one] => format!("photo {wanted:?} is not {one}, which is in another folder"),
+        ref all => format!("photo {wanted:?} may be any of {}; name it in full", all.join(", ")),
+    })
 }
 
 /// A name for what is made of each photo: the first of its two where no other photo has it, else the second, with a number where that
@@ -89,6 +78,8 @@ mod tests {
             ("DJI_0002.JPG", Some(2)),
             ("DJI_0002", Some(2)),
             ("pose.png", Some(3)),
+            ("flight/101MEDIA\\dji_0001.jpg", Some(1)),
+            ("102MEDIA/DJI_0001.JPG", None),
             ("DJI_0003", None),
         ] {
             assert_eq!(number_of(photos, wanted).ok(), expected, "{wanted}");

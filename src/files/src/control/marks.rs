@@ -7,7 +7,7 @@ use crate::{
     table::{Column, Table},
 };
 use rowgram_optim::output;
-use rowgram_survey::scene::{Excluded, ExcludedKind, GroundObservation, GroundPoint, Image};
+use rowgram_survey::scene::{Excluded, ExcludedKind, GroundObservation, GroundPoint};
 use std::{collections::HashMap, path::Path};
 
 /// The point of a mark: no image is called so.
@@ -116,11 +116,10 @@ impl MarkTable {
     /// Missing columns, fields that are no numbers, a point that is marked twice in one image.
     pub fn read(
         path: &Path,
-        images: &[Image],
+        names: &Names<'_>,
         ground: &[GroundPoint],
     ) -> Result<MarkTable, FileError> {
         let table = Table::read(path)?;
-        let names = Names::new(images);
         let points: HashMap<&str, u32> =
             ground.iter().enumerate().map(|(k, point)| (point.name.as_str(), k as u32)).collect();
         let own = if table.is_named() {
@@ -131,7 +130,7 @@ impl MarkTable {
                 table.required("row in the image", ROW_PX)?,
             ]
         } else {
-            unnamed_marks(&table, &names, &points)?
+            unnamed_marks(&table, names, &points)?
         };
         let [image, label, u, v] = own;
         let sigma = table.column(&["sigma_px"]);
@@ -258,11 +257,11 @@ impl MarkTable {
 /// As [`MarkTable::read`]; a ground point that is not there, rows none of which names an image of the block.
 pub fn marks(
     path: &Path,
-    images: &[Image],
+    names: &Names<'_>,
     ground: &[GroundPoint],
     defaults: &Defaults,
 ) -> Result<(Vec<GroundObservation>, Vec<Excluded>), FileError> {
-    let table = MarkTable::read(path, images, ground)?;
+    let table = MarkTable::read(path, names, ground)?;
     let mut found = Vec::new();
     let mut aside = Vec::new();
     for row in table.rows.iter().filter(|row| row.source != MarkSource::Removed) {
@@ -280,7 +279,7 @@ pub fn marks(
         }
     }
     if found.is_empty() && !table.rows.is_empty() {
-        return Err(FileError::malformed(path, None, nothing_matches(&aside, images)));
+        return Err(FileError::malformed(path, None, nothing_matches(&aside, names)));
     }
     Ok((found, aside))
 }
@@ -288,18 +287,9 @@ pub fn marks(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rowgram_survey::scene::{Axes, Pose, Role};
+    use rowgram_survey::scene::{Axes, Role};
 
-    fn block() -> (Vec<Image>, Vec<GroundPoint>) {
-        let pose = Pose { rotation: [1.0, 0.0, 0.0, 0.0], translation: [0.0; 3] };
-        let image = |name: &str| Image {
-            name: name.to_owned(),
-            id: 0,
-            camera: 0,
-            pose,
-            motion: [0.0; 6],
-            expected_motion: [0.0; 6],
-        };
+    fn block() -> (Names<'static>, Vec<GroundPoint>) {
         let point = |name: &str| GroundPoint {
             name: name.to_owned(),
             position_m: [0.0; 3],
@@ -307,18 +297,18 @@ mod tests {
             role: Role::Control,
             axes: Axes::Xyz,
         };
-        (["a.jpg", "b.jpg"].map(image).into(), ["T1", "-T2"].map(point).into())
+        (Names::new(["a.jpg", "b.jpg"]), ["T1", "-T2"].map(point).into())
     }
 
     #[test]
     fn what_is_not_changed_stays_as_it_is() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("marks.csv");
-        let (images, ground) = block();
+        let (names, ground) = block();
         let text =
             "# by Ana\nwho;file;point;x;y\nana;A.JPG;T1;10,25;20\nben;c.jpg;T1;1;2\nana;b;T9;3;4\n";
         std::fs::write(&path, text).unwrap();
-        let mut table = MarkTable::read(&path, &images, &ground).unwrap();
+        let mut table = MarkTable::read(&path, &names, &ground).unwrap();
         let ends: Vec<_> = table.rows.iter().map(|row| (row.image, row.ground)).collect();
         assert_eq!(ends, [(Some(0), Some(0)), (None, Some(0)), (Some(1), None)]);
         table.set((1, 1), ["b.jpg", "-T2"], [5.0, 6.25], Some(0.1), MarkSource::Found);
@@ -330,14 +320,14 @@ mod tests {
             "# by Ana\nwho,file,point,x,y,sigma_px,source\nana,A.JPG,T1,11.000,21.000,,\nben,c.jpg,T1,1,2,,\n\
              ana,b,T9,3,4,,\n,b.jpg,'-T2,5.000,6.250,0.100,found\n"
         );
-        let again = MarkTable::read(&path, &images, &ground).unwrap();
+        let again = MarkTable::read(&path, &names, &ground).unwrap();
         let row = &again.rows[3];
         assert!(
             row.source == MarkSource::Found && row.ground == Some(1) && row.sigma_px == Some(0.1),
             "{row:?}"
         );
         // The reader of a block names the point that is not there with its line.
-        let error = marks(&path, &images, &ground, &Defaults::default()).unwrap_err().to_string();
+        let error = marks(&path, &names, &ground, &Defaults::default()).unwrap_err().to_string();
         assert!(error.contains("line 5") && error.contains("T9"), "{error}");
     }
 
@@ -345,7 +335,7 @@ mod tests {
     fn a_removed_mark_is_none_and_is_remembered_where_it_was_found() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("marks.csv");
-        let (images, ground) = block();
+        let (names, ground) = block();
         let mut table = MarkTable::default();
         table.set((0, 0), ["a.jpg", "T1"], [1.0, 2.0], None, MarkSource::Hand);
         table.set((1, 0), ["b.jpg", "T1"], [3.0, 4.0], Some(0.1), MarkSource::Found);
@@ -354,19 +344,19 @@ mod tests {
             table.remove(ends);
         }
         table.write(&path, false).unwrap();
-        let again = MarkTable::read(&path, &images, &ground).unwrap();
+        let again = MarkTable::read(&path, &names, &ground).unwrap();
         let rows: Vec<_> =
             again.rows.iter().map(|row| (row.image, row.ground, row.source)).collect();
         assert_eq!(
             rows,
             [(Some(1), Some(0), MarkSource::Removed), (Some(1), Some(1), MarkSource::Found)]
         );
-        let (found, _) = marks(&path, &images, &ground, &Defaults::default()).unwrap();
+        let (found, _) = marks(&path, &names, &ground, &Defaults::default()).unwrap();
         assert_eq!(found.len(), 1);
         // A person who marks it after all has the last word.
         table.set((1, 0), ["b.jpg", "T1"], [3.5, 4.0], None, MarkSource::Hand);
         table.write(&path, true).unwrap();
-        let (found, _) = marks(&path, &images, &ground, &Defaults::default()).unwrap();
+        let (found, _) = marks(&path, &names, &ground, &Defaults::default()).unwrap();
         assert_eq!(found.len(), 2);
     }
 
@@ -374,14 +364,14 @@ mod tests {
     fn a_file_without_a_header_gets_one() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("marks.csv");
-        let (images, ground) = block();
+        let (names, ground) = block();
         std::fs::write(&path, "T1 10.5 20 a.jpg\n").unwrap();
-        let table = MarkTable::read(&path, &images, &ground).unwrap();
+        let table = MarkTable::read(&path, &names, &ground).unwrap();
         table.write(&path, true).unwrap();
         let written = std::fs::read_to_string(&path).unwrap();
         assert_eq!(written, "label,u_px,v_px,image,sigma_px,source\nT1,10.5,20,a.jpg,,\n");
-        assert_eq!(MarkTable::read(&path, &images, &ground).unwrap().rows[0].image, Some(0));
-        let (found, _) = marks(&path, &images, &ground, &Defaults::default()).unwrap();
+        assert_eq!(MarkTable::read(&path, &names, &ground).unwrap().rows[0].image, Some(0));
+        let (found, _) = marks(&path, &names, &ground, &Defaults::default()).unwrap();
         assert_eq!(found[0].sigma_px, Defaults::default().mark_px);
     }
 }

@@ -6,7 +6,7 @@ use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
 };
-use rowgram_files::{camera, control, model::Model};
+use rowgram_files::{camera, control, image_names::Names, model::Model};
 use rowgram_optim::{nlls::Loss, output::FileError};
 use rowgram_survey::{
     camera::Model as LensModel,
@@ -120,12 +120,13 @@ fn assemble(
             })?;
             point.role = Role::Check;
         }
-        let (marks, rest) = control::marks(marks, &survey.images, &survey.ground, &defaults)?;
+        let names = Names::of(&survey.images);
+        let (marks, rest) = control::marks(marks, &names, &survey.ground, &defaults)?;
         survey.marks = marks;
         unmatched.extend(rest);
     }
     if let Some(path) = &options.positions {
-        let (positions, rest) = control::positions(path, &survey.images, &defaults)?;
+        let (positions, rest) = control::positions(path, &Names::of(&survey.images), &defaults)?;
         survey.positions = positions;
         survey.lever_arm_m = options.lever_arm_m;
         unmatched.extend(rest);

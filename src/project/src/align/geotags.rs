@@ -1,7 +1,7 @@
 //! Where each photo was taken: by a file of positions, else by the photo itself, and what of it cannot be.
 
 use super::{
-    inputs::{Photo, Sources, stand_ins},
+    inputs::{Photo, Sources, names},
     place,
 };
 use crate::Project;
@@ -11,7 +11,6 @@ use rowgram_base::{
 };
 use rowgram_files::{
     camera_positions::{self, CameraPlaces, PhotoReference},
-    control::Names,
     photo::Geotag,
 };
 use rowgram_optim::output::name_of;
@@ -139,8 +138,7 @@ fn from_file(
         );
         return Err(Error::Argument(message));
     }
-    let stand_ins = stand_ins(photos);
-    let names = Names::new(&stand_ins);
+    let names = names(photos);
     let (mut unmatched, mut matched) = (Vec::new(), 0);
     for row in &read.rows {
         let (photo, called) = match &row.photo {

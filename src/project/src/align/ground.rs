@@ -2,7 +2,7 @@
 
 use super::{
     geotags::photos_deg,
-    inputs::{Frame, Photo, Sources, stand_ins},
+    inputs::{Frame, Photo, Sources, names},
     marks, place as places,
 };
 use rowgram_base::{
@@ -48,7 +48,6 @@ fn control(
 ) -> Result<Option<Ground>, Error> {
     let Some(path) = &sources.control else { return Ok(None) };
     let subject = name_of(path);
-    let images = stand_ins(photos);
     let photos_deg = photos_deg(photos);
     let ground = if is_table(path) {
         let read = control::read(path, &sources.defaults, photos_deg, sources.crs.is_some())?;
@@ -58,7 +57,8 @@ fn control(
             monitor.diagnostic(&Diagnostic::warning("no-marks", subject, message));
             return Ok(None);
         };
-        let (marks, aside) = control::marks(marks, &images, &read.ground, &sources.defaults)?;
+        let (marks, aside) =
+            control::marks(marks, &names(photos), &read.ground, &sources.defaults)?;
         for excluded in &aside {
             let diagnostic = Diagnostic::warning("mark-excluded", "marks", excluded.to_string());
             monitor.diagnostic(&diagnostic);
@@ -85,8 +85,7 @@ fn listed(
     sources: &Sources<'_>,
     monitor: &mut dyn Monitor,
 ) -> Result<Ground, Error> {
-    let images = stand_ins(photos);
-    let names = control::Names::new(&images);
+    let names = names(photos);
     let is_json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
     let read = if is_json {
         let size = |name: &str| names.find(name).map(|k| photos[k as usize].size_px);

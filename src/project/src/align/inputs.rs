@@ -12,6 +12,7 @@ use rowgram_base::{
 };
 use rowgram_files::{
     control::Defaults,
+    image_names::Names,
     images,
     photo::{Geotag, Metadata},
 };
@@ -19,7 +20,7 @@ use rowgram_optim::output::FileError;
 use rowgram_raster::crs::{Crs, LocalPlane};
 use rowgram_survey::{
     camera::{Camera, Model},
-    scene::{Axes, HorizontalFrame, Image, LengthUnit, Pose, ReferenceFrame, Role, VerticalFrame},
+    scene::{Axes, HorizontalFrame, LengthUnit, ReferenceFrame, Role, VerticalFrame},
     sfm::{adjust_block::AdjustedBlock, georeference::Known, intrinsics::without_distortion},
 };
 use std::{
@@ -399,17 +400,7 @@ fn start(
     Ok((camera, found.map(|(_, source)| source.to_owned())))
 }
 
-/// Images that carry no more than their names, to match other names against.
-pub(super) fn stand_ins(photos: &[Photo]) -> Vec<Image> {
-    let pose =
-        Pose { rotation: rowgram_optim::geometry::rotation::IDENTITY, translation: [0.0; 3] };
-    let image = |photo: &Photo| Image {
-        name: photo.name.clone(),
-        id: 0,
-        camera: photo.camera,
-        pose,
-        motion: [0.0; 6],
-        expected_motion: [0.0; 6],
-    };
-    photos.iter().map(image).collect()
+/// The names of the photos, to match other names against.
+pub(super) fn names(photos: &[Photo]) -> Names<'_> {
+    Names::new(photos.iter().map(|photo| photo.name.as_str()))
 }

@@ -3,7 +3,10 @@
 
 use super::Project;
 use rowgram_base::error::Error;
-use rowgram_files::control::{MarkRow, MarkSource, MarkTable};
+use rowgram_files::{
+    control::{MarkRow, MarkSource, MarkTable},
+    image_names::Names,
+};
 use rowgram_survey::{
     ground_targets::FoundTargets,
     scene::{GroundPoint, Image},
@@ -27,7 +30,7 @@ pub(super) fn read(
     points: &[GroundPoint],
 ) -> Result<MarkTable, Error> {
     match path.is_file() {
-        true => Ok(MarkTable::read(path, images, points)?),
+        true => Ok(MarkTable::read(path, &Names::of(images), points)?),
         false => Ok(MarkTable::default()),
     }
 }
