@@ -408,7 +408,7 @@ mod tests {
     }
 
     fn seen(mask: &Mask, heading_rad: f64) -> Evidence<'_> {
-        Evidence::new(mask, heading_rad, factor(mask))
+        Evidence::new(mask, heading_rad, factor(stroke_px(mask)))
     }
 
     #[test]
@@ -425,7 +425,7 @@ mod tests {
             assert!((found - 6.0).abs() < 0.6, "{solid}: {found}");
         }
         assert_eq!(stroke_px(&Mask::from_fn(0, 0, |_, _| true)), 0.0);
-        assert_eq!(factor(&Mask::from_fn(9, 9, |_, _| false)), 1);
+        assert_eq!(factor(stroke_px(&Mask::from_fn(9, 9, |_, _| false))), 1);
     }
 
     #[test]
