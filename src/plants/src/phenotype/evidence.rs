@@ -16,7 +16,7 @@
 //! `E = sum_b w_b v_b / (1 + v_b / ``SATURATION``)`.
 //!
 //! A mask of broad leaves is first reduced by the whole factor that makes its strokes about
-//! `STROKE_PX` wide ([`factor`]), or by more where plants stand far apart. Positions in pixels of the given mask, centre of the top-left pixel at (0, 0).
+//! `STROKE_PX` wide, by more where plants stand far apart, by less where they are close together. Positions in pixels of the given mask, centre of the top-left pixel at (0, 0).
 
 use rayon::prelude::*;
 use rowgram_raster::Mask;
