@@ -72,7 +72,7 @@ fn usable(field: &RowsToCount) -> impl Iterator<Item = FieldRow<'_>> {
     rows.map(|(row, plants)| FieldRow {
         features: RowFeatures::new(row, &field.overall, &field.spacing),
         plants,
-        stroke: field.overall.stroke,
+        leaf_width: field.overall.leaf_width,
     })
     .filter(|row| row.plants.windows(2).all(|w| w[1] - w[0] < row.features.gap_limit()))
 }
@@ -99,11 +99,12 @@ fn folded(flat: &[f64]) -> LeafWeights {
     LeafWeights { narrow, change }
 }
 
-/// A row of a field, and how wide its leaves are.
+/// A row of a field, its true plants (places in steps), and how wide its leaves are.
 struct FieldRow<'f> {
     features: RowFeatures<'f>,
     plants: &'f [usize],
-    stroke: f64,
+    /// Pixels of the reduced grid.
+    leaf_width: f64,
 }
 
 /// The penalised likelihood of all plants, per plant, with its sign changed.
@@ -111,7 +112,7 @@ struct Cost<'f> {
     rows: Vec<FieldRow<'f>>,
     plants: f64,
     start: &'f [f64],
-    /// The last weights with their cost and its gradient: argmin asks for them one after the other.
+    /// The last weights with their cost and its gradient, which argmin asks for one after the other.
     last: Mutex<(Vec<f64>, f64, Vec<f64>)>,
 }
 
@@ -127,7 +128,7 @@ impl<'f> Cost<'f> {
         if last.0 != w {
             let weights = folded(w);
             let of_row = |row: &FieldRow<'_>| {
-                let lattice = Lattice::new(&row.features, &weights.at(row.stroke));
+                let lattice = Lattice::new(&row.features, &weights.at(row.leaf_width));
                 lattice.log_likelihood(&row.features, row.plants)
             };
             let parts: Vec<(f64, Weights)> = self.rows.par_iter().map(of_row).collect();
@@ -136,7 +137,7 @@ impl<'f> Cost<'f> {
             let mut value: f64 = off().map(|off| 0.5 * PENALTY * off * off).sum();
             for ((v, g), row) in parts.into_iter().zip(&self.rows) {
                 value -= v / self.plants;
-                let by = LeafWeights::wideness(row.stroke);
+                let by = LeafWeights::log_width(row.leaf_width);
                 for (k, g) in g.places.into_iter().chain(g.pairs).enumerate() {
                     gradient[k] -= g / self.plants;
                     gradient[PLACE + PAIR + k] -= by * g / self.plants;
@@ -178,7 +179,7 @@ pub(crate) struct FitStandCount {
     /// Number of the last mask of each scenario.
     #[arg(long, default_value_t = 1004)]
     last: u32,
-    /// Folder of synthetic flights, each a project whose map has a leaf mask.
+    /// Folder of synthetic flights, each a project of which `segment` has run.
     #[arg(long, value_name = "DIR")]
     flights: PathBuf,
     /// Where the weights go (CSV); replaced if it is there.

@@ -71,7 +71,7 @@ pub(super) struct LeafAxes {
     pub(super) axis: Vec<[i8; 2]>,
 }
 
-/// The whole factor by which the grid of a mask is reduced whose leaves are so broad.
+/// The whole factor by which a mask is reduced whose leaves are so wide.
 pub(super) fn factor(stroke_px: f64) -> usize {
     (stroke_px / STROKE_PX).max(1.0) as usize
 }

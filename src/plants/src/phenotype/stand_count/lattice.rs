@@ -267,7 +267,7 @@ mod tests {
     }
 
     const OVERALL: Overall =
-        Overall { mean: 0.5, mass: 0.7, contrast: 0.5, cover: 0.3, outside: 0.2, stroke: 5.0 };
+        Overall { mean: 0.5, mass: 0.7, contrast: 0.5, cover: 0.3, outside: 0.2, leaf_width: 5.0 };
     const GAPS: Spacing = Spacing { spacing: 3.0, jitter: 0.2, missing: 0.1, doubles: 0.05 };
 
     #[test]

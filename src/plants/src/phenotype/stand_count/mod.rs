@@ -51,8 +51,8 @@ pub struct Overall {
     pub mass: f64,
     /// Standard deviation of the square root of the votes over their mean.
     pub contrast: f64,
-    /// Width of leaves.
-    pub stroke: f64,
+    /// Width of leaves, pixels of the reduced grid.
+    pub leaf_width: f64,
     /// Share of leaf in the bands along the rows.
     pub cover: f64,
     /// Share of all leaf that is outside these bands.
@@ -80,7 +80,7 @@ pub fn row_posteriors(
     spacing: &Spacing,
     plant_log_odds: f64,
 ) -> Result<Vec<RowPosterior>, SolveError> {
-    let weights = fitted().map_err(SolveError::Misuse)?.at(overall.stroke);
+    let weights = fitted().map_err(SolveError::Misuse)?.at(overall.leaf_width);
     let of_row = |profile: &&Profile| {
         let lattice = Lattice::new(&RowFeatures::new(profile, overall, spacing), &weights);
         let marginals = lattice.marginals(plant_log_odds);
@@ -105,7 +105,7 @@ pub fn log_odds_of(
     const MAX_LOG_ODDS: f64 = 20.0;
     /// Halvings of the range, to 0.04: the number of plants is met exactly afterwards, by taking the likeliest places.
     const HALVINGS: usize = 10;
-    let weights = fitted().map_err(SolveError::Misuse)?.at(overall.stroke);
+    let weights = fitted().map_err(SolveError::Misuse)?.at(overall.leaf_width);
     let scores =
         |profile: &&Profile| Lattice::new(&RowFeatures::new(profile, overall, spacing), &weights);
     let lattices: Vec<Lattice> = profiles.par_iter().map(scores).collect();
