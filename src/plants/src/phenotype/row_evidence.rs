@@ -25,6 +25,12 @@ use rowgram_raster::Mask;
 
 /// A spacing this many times finer than another may be that of the leaves of a plant.
 const LEAVES: f64 = 1.9;
+/// Plants nearer to each other than this many widths of leaves are improbable: half of a normal distribution of the logarithm.
+const LEAVES_APART: f64 = 1.4;
+/// Its standard deviation. Both were chosen on masks that are drawn, drawn with wider leaves, and of maps (docs/decisions.md).
+const LEAVES_APART_SD: f64 = 0.3;
+/// Length of row whose likelihood tells the spacing, however long all rows are: votes of neighbouring places are much the same. Fitted likewise.
+const EVIDENCE_PX: f64 = 168.0;
 /// Spacing of isolated plants as shares of the distance of their patches of leaf, some of which are two plants.
 const PATCHES: [f64; 2] = [0.7, 1.3];
 /// Distance of neighbouring plants on a grid that is coarser than the mask, at least: about the average of the 160 drawn masks to which the stand count
@@ -265,12 +271,12 @@ impl<'m> RowEvidence<'m> {
             .map(|(_, row)| (row, steps(row) as usize))
     }
 
-    /// The spacing under which the rows are likeliest, all sets of plants taken together.
+    /// The most probable spacing: rows are likely under it, all sets of plants taken together, and leaves are not too wide for it.
     ///
     /// Where leaves of a plant can pass for plants there are two such spacings, and a worth of every plant,
     /// which makes up for what evidence lacks in a closed canopy, favours the finer one by how many more plants
     /// it has: against a peak that is [`LEAVES`] times as coarse it does not count.
-    pub(super) fn likeliest_spacing(&self, sample: &[usize]) -> f64 {
+    fn likeliest_spacing(&self, sample: &[usize]) -> f64 {
         let overall = self.overall();
         let length: f64 = sample.iter().map(|&row| self.parts[row].curve.length()).sum();
         // One spacing after the other: the scores of a long row at the coarsest take 170 MB (43,000 places).
@@ -287,21 +293,22 @@ impl<'m> RowEvidence<'m> {
             let within = PATCHES[0] * apart..=PATCHES[1] * apart;
             tried.retain(|(_, spacing)| within.contains(spacing));
         }
+        let crowded = |spacing: f64| {
+            let over = (spacing / (LEAVES_APART * self.leaf_width)).ln().min(0.0);
+            0.5 * (over / LEAVES_APART_SD).powi(2)
+        };
+        let score = |k: usize| {
+            let (likelihood, spacing) = tried[k];
+            (EVIDENCE_PX / length).min(1.0) * likelihood - crowded(spacing)
+        };
+        let likeliest = (0..tried.len()).max_by(|&a, &b| score(a).total_cmp(&score(b)));
+        let Some(likeliest) = likeliest else { return FINEST };
         let peak = |k: &usize| {
             let over = |other: Option<&(f64, f64)>| other.is_none_or(|o| o.0 <= tried[*k].0);
             over(k.checked_sub(1).and_then(|k| tried.get(k))) && over(tried.get(k + 1))
         };
         let bare = |k: usize| tried[k].0 - Weights::PLANT * length / tried[k].1;
-        let likeliest = (0..tried.len()).max_by(|&a, &b| tried[a].0.total_cmp(&tried[b].0));
-        let Some(likeliest) = likeliest else { return FINEST };
         let coarser = |k: &usize| tried[*k].1 > LEAVES * tried[likeliest].1;
-        for k in (0..tried.len()).filter(peak) {
-            let (likelihood, spacing) = tried[k];
-            tracing::debug!(
-                "spacing {spacing:.1} px of the grid: log likelihood {likelihood:.1}, {:.1} without the worth of plants",
-                bare(k)
-            );
-        }
         let rivals = (0..tried.len()).filter(peak).filter(coarser);
         tried[rivals.fold(likeliest, |best, k| if bare(k) > bare(best) { k } else { best })].1
     }
