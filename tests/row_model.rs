@@ -12,7 +12,7 @@ use rowgram::{
         locate::{self, Init, LocateError, Setup},
         row_model::{self, RowModelOptions},
         rows::detect,
-        stand::Stand,
+        stand::{Doubt, Stand},
     },
     problems::plants::{Form, Model, index::PixelIndex},
     raster::Mask,
@@ -154,22 +154,36 @@ fn plants_that_have_merged_are_not_counted_as_one() {
 #[test]
 #[ignore = "slow; cargo test -- --include-ignored"]
 fn wide_leaves_of_plants_close_together_are_not_seen_too_coarsely() {
-    // Leaves are a pixel wider on either side, and so wide that they alone would ask for a grid twice as coarse.
+    let wider = |mask: &Mask| {
+        Mask::from_fn(mask.width, mask.height, |u, v| {
+            let beside = u.saturating_sub(1)..(u + 2).min(mask.width);
+            let above = v.saturating_sub(1)..(v + 2).min(mask.height);
+            mask.row(v)[beside].contains(&1) || above.into_iter().any(|v| mask.row(v)[u] == 1)
+        })
+    };
+    let is_crowded =
+        |found: &Stand| found.doubts.iter().any(|doubt| matches!(doubt, Doubt::Crowded { .. }));
+    let holds = |found: &Stand, truth: &[[f64; 2]]| {
+        let [low, high] = found.count_interval;
+        (low..high).contains(&(truth.len() as f64))
+    };
+    let mut crowded = false;
     for seed in [11, 12, 13] {
         let (thin, truth) = field(Preset::Mid20, 0.0, seed);
-        let mask = Mask::from_fn(thin.width, thin.height, |u, v| {
-            let beside = u.saturating_sub(1)..(u + 2).min(thin.width);
-            let above = v.saturating_sub(1)..(v + 2).min(thin.height);
-            thin.row(v)[beside].contains(&1) || above.into_iter().any(|v| thin.row(v)[u] == 1)
-        });
-        let found = find(&mask, None);
+        // Leaves are so wide that they alone would ask for a grid twice as coarse.
+        let wide = wider(&thin);
+        let found = find(&wide, None);
         let (spacing, wanted) = (found.spacing.spacing, 0.2 / 0.015);
         let f1 = f1(&positions(&found), &truth);
         assert!((spacing / wanted - 1.0).abs() < 0.12, "{seed}: {spacing} px for {wanted}");
-        let [low, high] = found.count_interval;
-        assert!((low..high).contains(&(truth.len() as f64)), "{seed}: {low} to {high}");
         assert!(f1 > 0.75, "{seed}: F1 {f1}");
+        assert!(holds(&found, &truth) && !is_crowded(&found), "{seed}: {:?}", found.doubts);
+        // Almost as wide as plants are apart.
+        let guessed = find(&wider(&wide), None);
+        assert!(holds(&guessed, &truth) && !guessed.doubts.is_empty(), "{seed}");
+        crowded |= is_crowded(&guessed);
     }
+    assert!(crowded);
 }
 
 #[test]

@@ -26,7 +26,7 @@ use rowgram_raster::Mask;
 /// A spacing this many times finer than another may be that of the leaves of a plant.
 const LEAVES: f64 = 1.9;
 /// Plants nearer to each other than this many widths of leaves are improbable: half of a normal distribution of the logarithm.
-const LEAVES_APART: f64 = 1.4;
+pub(super) const LEAVES_APART: f64 = 1.4;
 /// Its standard deviation. Both were chosen on masks that are drawn, drawn with wider leaves, and of maps (docs/decisions.md).
 const LEAVES_APART_SD: f64 = 0.3;
 /// Length of row whose likelihood tells the spacing, however long all rows are: votes of neighbouring places are much the same. Fitted likewise.

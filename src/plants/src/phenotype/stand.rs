@@ -3,7 +3,8 @@
 //! Positions and lengths in pixels of the mask, centre of the top-left pixel at (0, 0).
 
 use super::{
-    broad_leaves, perspective::Perspective, plant_spacing::Spacing, row_cover, rows::Rows,
+    broad_leaves, evidence, perspective::Perspective, plant_spacing::Spacing, row_cover,
+    row_evidence::LEAVES_APART, rows::Rows,
 };
 use rowgram_raster::Mask;
 use serde::{Deserialize, Serialize};
@@ -99,6 +100,13 @@ pub enum Doubt {
         /// Diameter of a disc with the leaf area of a plant.
         width_px: f64,
     },
+    /// Leaves are so wide for the distance of plants that they hardly tell it.
+    Crowded {
+        /// The distance between plants of a row.
+        spacing_px: f64,
+        /// Width of leaves.
+        leaf_px: f64,
+    },
     /// Leaves have closed and show no blades: nothing tells plants apart.
     Closed,
     /// No rows stand out: patches of leaf are plants of some crop, or something else that is green.
@@ -126,6 +134,8 @@ impl Doubt {
             Doubt::NoRows => (0.7, 1.0),
             // Plants at the likeliest distance, whatever that is.
             Doubt::Closed => (0.3, 4.0),
+            // Their confidence knows: 0.57 for a precision of 0.85 on maps of late fields of 13 to 15 cm.
+            Doubt::Crowded { .. } => (1.0, 2.0),
             _ => (0.7, 2.0),
         }
     }
@@ -218,6 +228,10 @@ impl Stand {
                     |mask| row_cover::is_closed(mask, &self.rows) || broad_leaves::is_broad(mask);
                 if mask.is_some_and(has_closed) {
                     self.doubts.push(Doubt::Closed);
+                }
+                let leaf_px = mask.map_or(0.0, evidence::stroke_px);
+                if spacing < LEAVES_APART * leaf_px {
+                    self.doubts.push(Doubt::Crowded { spacing_px: spacing, leaf_px });
                 }
             }
         }

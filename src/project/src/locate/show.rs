@@ -65,6 +65,12 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
                 ),
                 "look at figures/plants.png; count on an earlier photo, or give the number of plants (plants)",
             ),
+            Doubt::Crowded { spacing_px, leaf_px } => (
+                format!(
+                    "plants are {spacing_px:.1} px apart and leaves {leaf_px:.1} px wide: leaves that lie over each other hardly tell how many plants there are"
+                ),
+                "count on an earlier photo, or give the number of plants (plants)",
+            ),
             Doubt::Closed => (
                 "leaves have closed and show no blades: nothing tells plants apart, their places and their number are guesses, and plots have row_cover and row_gap_share instead"
                     .to_owned(),
