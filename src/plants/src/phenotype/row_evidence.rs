@@ -25,11 +25,13 @@ use rowgram_raster::Mask;
 
 /// A spacing this many times finer than another may be that of the leaves of a plant.
 const LEAVES: f64 = 1.9;
-/// Plants nearer to each other than this many widths of leaves are improbable: half of a normal distribution of the logarithm.
+/// A spacing below this many widths of leaves is improbable, and the number of plants then in doubt: the logarithm of spacing over width has half of a
+/// normal distribution below it.
 pub(super) const LEAVES_APART: f64 = 1.4;
-/// Its standard deviation. Both were chosen on masks that are drawn, drawn with wider leaves, and of maps (docs/decisions.md).
+/// Standard deviation of that. Both were chosen on masks that are drawn, drawn with wider leaves, and of maps (docs/decisions.md).
 const LEAVES_APART_SD: f64 = 0.3;
-/// Length of row whose likelihood tells the spacing, however long all rows are: votes of neighbouring places are much the same. Fitted likewise.
+/// Length of row whose likelihood tells the spacing, however long all rows are: votes of neighbouring places are much the same. Fitted
+/// on the same masks.
 const EVIDENCE_PX: f64 = 168.0;
 /// Spacing of isolated plants as shares of the distance of their patches of leaf, some of which are two plants.
 const PATCHES: [f64; 2] = [0.7, 1.3];

@@ -100,11 +100,11 @@ pub enum Doubt {
         /// Diameter of a disc with the leaf area of a plant.
         width_px: f64,
     },
-    /// Leaves are so wide for the distance of plants that they hardly tell it.
+    /// Leaves are so wide that they hardly tell how far apart plants are.
     Crowded {
         /// The distance between plants of a row.
         spacing_px: f64,
-        /// Width of leaves.
+        /// Width of leaves, or of the areas of leaf where they lie over each other.
         leaf_px: f64,
     },
     /// Leaves have closed and show no blades: nothing tells plants apart.
@@ -134,7 +134,7 @@ impl Doubt {
             Doubt::NoRows => (0.7, 1.0),
             // Plants at the likeliest distance, whatever that is.
             Doubt::Closed => (0.3, 4.0),
-            // Their confidence knows: 0.57 for a precision of 0.85 on maps of late fields of 13 to 15 cm.
+            // Their confidence is low enough: 0.61 for a precision of 0.89 on 16 masks of maps of fields of 12 to 15 cm.
             Doubt::Crowded { .. } => (1.0, 2.0),
             _ => (0.7, 2.0),
         }
