@@ -8,7 +8,7 @@ use super::{
     perspective::Perspective,
     row_model::{self, RowModelOptions},
     rows::{self, Detection},
-    stand::Stand,
+    stand::{Stand, unsure_pixels},
 };
 use crate::problems::plants::{
     Form, Model, PlantUpdate, Prior, Proof, SigmaRule, index::PixelIndex,
@@ -267,8 +267,9 @@ pub fn prepare(
     let counts = options.plants == Auto::Auto && leaf_pixels > 0;
     let stand = if is_row_model || init == Init::Votes || counts {
         let (count, options) = (options.plants.given(), &options.row_model);
+        let unsure_px = posterior.as_deref().map_or(0, unsure_pixels);
         let mut stand = row_model::locate_in_detail(&mask, posterior, &detection, count, options)?;
-        stand.doubt(gsd_m, Some(&mask));
+        stand.doubt(gsd_m, Some(&mask), unsure_px);
         perspective.into_iter().for_each(|perspective| stand.seen_in(perspective));
         Some(stand)
     } else {
@@ -353,6 +354,9 @@ pub fn find(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::phenotype::stand::Doubt;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
 
     /// Two rows of discs, 20 px apart.
     fn mask() -> Mask {
@@ -387,6 +391,36 @@ mod tests {
                 assert!(nearest < 3.0, "{method}: {nearest} px from {at:?}");
             }
         }
+    }
+
+    #[test]
+    fn noise_unclear_colours_and_nothing_but_leaf_are_in_doubt() {
+        let stand = |mask: &Mask, posterior: Option<Vec<u8>>| {
+            let found = prepare(mask, posterior, None, &LocateOptions::default()).unwrap();
+            let Work::Stand(stand) = found.work else { panic!("no plants") };
+            *stand
+        };
+        let clear = mask();
+        let leaf: Vec<u8> = clear.data.iter().map(|&pixel| u8::from(pixel != 0) * 255).collect();
+        let sure = stand(&clear, Some(leaf.clone()));
+        assert_eq!(sure.doubts, []);
+        // One pixel of five.
+        let grass = leaf.iter().enumerate().map(|(k, &p)| if k % 5 == 0 { 100 } else { p });
+        let unclear = stand(&clear, Some(grass.collect()));
+        let [Doubt::Unclear { share, .. }] = unclear.doubts[..] else {
+            panic!("{:?}", unclear.doubts)
+        };
+        assert!((share - 0.2).abs() < 0.001, "{share}");
+        assert!(unclear.plants[0].confidence < 0.25 * sure.plants[0].confidence);
+        assert!(unclear.count_interval[0] == 0.0 && unclear.count_interval[1] > 50.0);
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let noise: Vec<bool> = (0..300 * 200).map(|_| rng.random_bool(0.005)).collect();
+        let specks = stand(&Mask::from_fn(300, 200, |u, v| noise[300 * v + u]), None);
+        let doubts = &specks.doubts[..];
+        assert!(matches!(doubts, [Doubt::NoRows, Doubt::Specks { .. }]), "{doubts:?}");
+        let lawn = stand(&Mask::from_fn(300, 200, |_, _| true), None);
+        assert_eq!(lawn.doubts, [Doubt::NoRows, Doubt::Closed]);
+        assert!(lawn.count_interval[1] >= 2.0 * lawn.plants.len() as f64);
     }
 
     #[test]

@@ -73,7 +73,7 @@ pub fn locate(
     options: &RowModelOptions,
 ) -> Result<Stand, LocateError> {
     let mut stand = locate_in_detail(mask, None, detection, count, options)?;
-    stand.doubt(None, Some(mask));
+    stand.doubt(None, Some(mask), 0);
     Ok(stand)
 }
 

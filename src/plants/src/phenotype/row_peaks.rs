@@ -254,7 +254,7 @@ mod tests {
         let sure = row_model::locate(&mask, &detection, None, &RowModelOptions::default()).unwrap();
         let mut stand = sure.clone();
         stand.spacing.spacing = 10.0;
-        stand.doubt(None, None);
+        stand.doubt(None, None, 0);
         assert!(matches!(stand.doubts[..], [Doubt::Narrow { .. }]), "{:?}", stand.doubts);
         assert!(stand.plants[0].confidence < sure.plants[0].confidence);
         let width = |stand: &crate::phenotype::stand::Stand| {
@@ -263,7 +263,7 @@ mod tests {
         assert!(width(&stand) > 1.9 * width(&sure));
         let mut stand = sure;
         (stand.spacing.missing, stand.spacing.doubles) = (0.5, 0.1);
-        stand.doubt(None, None);
+        stand.doubt(None, None, 0);
         assert_eq!(stand.doubts, [Doubt::Uneven { missing: 0.5, doubles: 0.1 }]);
     }
 
@@ -274,7 +274,7 @@ mod tests {
         let sure = row_model::locate(&mask, &detection, None, &RowModelOptions::default()).unwrap();
         let doubts_at = |gsd_m: f64| {
             let mut stand = sure.clone();
-            stand.doubt(Some(gsd_m), None);
+            stand.doubt(Some(gsd_m), None, 0);
             stand.doubts
         };
         assert_eq!(sure.doubts, []);
@@ -291,7 +291,7 @@ mod tests {
         assert!((rows_m - 4.1).abs() < 1e-9, "{rows_m}");
         let mut stand = sure.clone();
         stand.rows.rows.clear();
-        stand.doubt(None, None);
+        stand.doubt(None, None, 0);
         assert_eq!(stand.doubts, [Doubt::NoRows]);
         assert_eq!(stand.count_interval, sure.count_interval);
         assert!(stand.plants[0].confidence < sure.plants[0].confidence);

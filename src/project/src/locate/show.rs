@@ -72,7 +72,7 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
                 "count on an earlier photo, or give the number of plants (plants)",
             ),
             Doubt::Closed => (
-                "leaves have closed and show no blades: nothing tells plants apart, their places and their number are guesses, and plots have row_cover and row_gap_share instead"
+                "leaves have closed and show no blades, or cover most of a picture without rows: nothing tells plants apart, their places and their number are guesses, and plots have row_cover and row_gap_share instead"
                     .to_owned(),
                 "count on an earlier photo, or give the number of plants (plants)",
             ),
@@ -80,6 +80,18 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
                 "no rows stand out: patches of leaf are counted, each of which may be a plant, several that have grown together, or anything else that is green"
                     .to_owned(),
                 "look at figures/plants.png; count on an earlier photo, or give the number of plants (plants)",
+            ),
+            Doubt::Specks { plant_px } => (
+                format!("plants have {plant_px:.0} px of leaf and stand in no rows: they may be nothing but noise"),
+                "look at figures/plants.png; take photos from lower above",
+            ),
+            Doubt::Unclear { share, leaf_share } => (
+                format!(
+                    "of {:.0} % of the picture it cannot be told by colour whether it is leaf ({:.0} % are taken for leaf): plants over grass, bad light, or noise?",
+                    100.0 * share,
+                    100.0 * leaf_share
+                ),
+                "look at figures/plants.png; take photos in better light, or where the ground is bare",
             ),
             Doubt::Wide { spacing_m, rows_m } => (
                 format!(
