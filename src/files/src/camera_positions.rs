@@ -13,7 +13,7 @@ use super::{
     photo::Geotag,
     table::{Row, Table, decode},
 };
-use std::path::Path;
+use std::{collections::HashMap, path::Path};
 
 /// Which photo a row is of.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -102,7 +102,8 @@ fn read_table(path: &Path, photos_deg: Option<[f64; 2]>) -> Result<CameraPlaces,
         choice = Some(found.said(&table, &more));
         (found.name, Coordinates { sigma: [plan, plan, up], ..found.coordinates })
     };
-    let mut rows = Vec::with_capacity(table.rows().len());
+    let mut rows: Vec<CameraPlace> = Vec::with_capacity(table.rows().len());
+    let mut places = HashMap::new();
     for row in table.rows() {
         let name = table.text(row, image);
         if name.is_empty() {
@@ -120,6 +121,9 @@ fn read_table(path: &Path, photos_deg: Option<[f64; 2]>) -> Result<CameraPlaces,
             continue;
         }
         let place = place(&table, row, plan, found.is_degrees)?;
+        if places.insert(name, place).is_some_and(|before| before != place) {
+            return Err(table.fault(row, format!("{name} is there twice, at two places")));
+        }
         let height_m = found.height.map(|column| table.number_or_none(row, column)).transpose()?;
         rows.push(CameraPlace {
             photo: PhotoReference::Name(name.to_owned()),

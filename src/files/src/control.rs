@@ -22,12 +22,15 @@ use super::{
     FileError,
     columns::{self, Coordinates, IMAGE, LABEL},
     image_names::Names,
-    table::{Column, Table},
+    table::{Column, Table, is_called},
 };
 use rowgram_survey::scene::{
     Axes, CameraPosition, Excluded, ExcludedKind, GroundPoint, Role, ScaleBar,
 };
 use std::{collections::HashSet, path::Path};
+
+/// What a point is for; other programs call it a type.
+const ROLE: &[&str] = &["role", "type", "point_type", "gcp_type"];
 
 /// Standard deviations where a file has none.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -143,7 +146,7 @@ fn points(
     coordinates: &Coordinates,
     defaults: &Defaults,
 ) -> Result<Vec<GroundPoint>, FileError> {
-    let (role, axes) = (table.column(&["role"]), table.column(&["axes"]));
+    let (role, axes) = (table.column(ROLE), table.column(&["axes"]));
     let mut points = Vec::new();
     let mut names = HashSet::new();
     for row in table.rows() {
@@ -155,11 +158,14 @@ fn points(
             return Err(table.fault(row, format!("{name} is there twice")));
         }
         let word = |column: Option<Column>| column.map_or("", |c| table.text(row, c));
-        let role = match word(role).to_ascii_lowercase().as_str() {
+        let is_role = role.is_some_and(|column| is_called(table.title(column), ROLE[0]));
+        let role = match word(role).to_ascii_lowercase().replace(['_', '-'], " ").as_str() {
             "" if name.starts_with("CHK-") => Role::Check,
-            "" | "control" | "gcp" => Role::Control,
-            "check" => Role::Check,
-            "tie" => Role::Tie,
+            "" | "control" | "gcp" | "control point" | "3d gcp" => Role::Control,
+            "check" | "check point" | "checkpoint" | "cp" => Role::Check,
+            "tie" | "tie point" | "mtp" | "manual tie point" => Role::Tie,
+            // What kind of a target it is.
+            _ if !is_role => Role::Control,
             other => {
                 let message = format!("role is {other:?}, expected control, check or tie");
                 return Err(table.fault(row, message));
@@ -309,6 +315,12 @@ mod tests {
         let checks: Vec<&str> =
             points.iter().filter(|p| p.role == Role::Check).map(|p| p.name.as_str()).collect();
         assert_eq!(checks, ["CHK-B", "CHK-C"]);
+        // As other programs write it, and a type of something else.
+        let types = "label,easting_m,northing_m,height_m,type\nA,1,2,3,Check Point\nB,9,2,3,3D GCP\nC,9,9,3,cross\n";
+        std::fs::write(&path, types).unwrap();
+        let points = ground_points(&path, &Defaults::default()).unwrap();
+        let found: Vec<Role> = points.iter().map(|point| point.role).collect();
+        assert_eq!(found, [Role::Check, Role::Control, Role::Control]);
         std::fs::write(&path, "label,easting_m,northing_m,height_m,role\nA,1,2,3,chek\n").unwrap();
         let error = ground_points(&path, &Defaults::default()).unwrap_err().to_string();
         assert!(error.contains("gcps.csv") && error.contains("chek"), "{error}");

@@ -69,7 +69,7 @@ pub fn of_cell(cell: &str) -> &str {
 }
 
 /// A table of texts.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct CsvTable(Table);
 
 impl CsvTable {

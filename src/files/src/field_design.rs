@@ -10,7 +10,7 @@
 use super::{
     FileError,
     polygons::NAMES,
-    table::{Column, Row, Table},
+    table::{Column, Row, Table, is_called},
 };
 use rowgram_base::options::Choice;
 use rowgram_plants::phenotype::layout::design::FieldCorner;
@@ -25,7 +25,7 @@ const EASTING: &[&str] = &["easting_m", "easting", "x_m", "x", "east"];
 const NORTHING: &[&str] = &["northing_m", "northing", "y_m", "y", "north"];
 const LONGITUDE: &[&str] = &["longitude_deg", "longitude", "lon", "lng"];
 const LATITUDE: &[&str] = &["latitude_deg", "latitude", "lat"];
-const PLOT: &[&str] = &["plot", "plot_number", "plot_id", "plot_no"];
+const PLOT: &[&str] = &["plot", "plot_number", "plot_id", "plotid", "plot_no", "plot_name"];
 
 /// Where a corner was surveyed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -120,11 +120,11 @@ pub struct FieldBook {
     pub map: FieldMap,
 }
 
-/// Reads a field book with any titles: the column in which most of the names are found is that of the plots; 101.0 is 101. Rows
-/// of other plots are left out.
+/// Reads a field book with any titles: the column in which most of the names are found is that of the plots, of several the one that is called so;
+/// 101.0 is 101. Rows of other plots are left out.
 ///
 /// # Errors
-/// A damaged table, a table without any of the names or with one of them twice.
+/// A damaged table, a table without any of the names or with one of them twice, or with two columns of them that differ and are not called plots.
 pub fn read_field_book(path: &Path, names: &[&str]) -> Result<FieldBook, FileError> {
     let table = Table::read(path)?;
     let known: BTreeSet<&str> = names.iter().copied().collect();
@@ -132,10 +132,14 @@ pub fn read_field_book(path: &Path, names: &[&str]) -> Result<FieldBook, FileErr
         let texts = table.rows().iter().map(|row| plot_name(table.text(row, column)));
         texts.filter(|text| known.contains(text)).collect::<BTreeSet<_>>().len()
     };
-    // The first of those with as many.
-    let best = table.columns().map(|(title, column)| (found(column), title, column));
-    let best = best.reduce(|a, b| if b.0 > a.0 { b } else { a }).filter(|(found, ..)| *found > 0);
-    let Some((_, key, plot)) = best else {
+    let columns: Vec<_> =
+        table.columns().map(|(title, column)| (found(column), title, column)).collect();
+    let most = columns.iter().map(|(found, ..)| *found).max().unwrap_or(0);
+    let best: Vec<_> = columns.iter().filter(|(found, ..)| *found == most && most > 0).collect();
+    let names_plots = |title: &str| PLOT.iter().any(|plot| is_called(title, plot));
+    // Entries are numbered from 1 as plots are: the title decides.
+    let chosen = best.iter().find(|(_, title, _)| names_plots(title)).or(best.first());
+    let Some(&&(_, key, plot)) = chosen else {
         let titles: Vec<&str> = table.columns().map(|(title, _)| title).collect();
         let example = names.first().copied().unwrap_or("any");
         return Err(table.whole_fault(format!(
@@ -143,6 +147,17 @@ pub fn read_field_book(path: &Path, names: &[&str]) -> Result<FieldBook, FileErr
             titles.join(", ")
         )));
     };
+    let differs = |column: Column| {
+        let name = |row: &Row, column| plot_name(table.text(row, column));
+        table.rows().iter().any(|row| name(row, column) != name(row, plot))
+    };
+    let other = best.iter().find(|(.., column)| differs(*column));
+    if let Some((_, title, _)) = other.filter(|_| !names_plots(key)) {
+        return Err(table.whole_fault(format!(
+            "{key} and {title} both have the names of all plots, and differ; call the column with those of the plots {}",
+            PLOT[0]
+        )));
+    }
     let others: Vec<_> = table.columns().filter(|(title, _)| *title != key).collect();
     let mut map = rows_of(&table, plot, &others)?;
     map.plots.retain(|name, _| known.contains(name.as_str()));
@@ -224,6 +239,19 @@ mod tests {
             let error = read_corners(&path).unwrap_err().to_string();
             assert!(error.contains(expected) && error.contains("table.csv"), "{error}");
         }
+    }
+
+    #[test]
+    fn a_field_book_is_joined_by_the_column_that_is_called_so() {
+        let text = "entry,plot,genotype\n3,1,B73\n1,2,Mo17\n2,3,W22\n";
+        let (_folder, path) = file(text);
+        let book = read_field_book(&path, &["1", "2", "3"]).unwrap();
+        assert_eq!((book.key.as_str(), &book.map.plots["1"][1]), ("plot", &Value::from("B73")));
+        let (_folder, path) = file(&text.replace("plot", "parcel"));
+        let error = read_field_book(&path, &["1", "2", "3"]).unwrap_err().to_string();
+        assert!(error.contains("entry and parcel both have the names"), "{error}");
+        let (_folder, path) = file("nr,id,genotype\n1,1,B73\n2,2,Mo17\n");
+        assert_eq!(read_field_book(&path, &["1", "2"]).unwrap().key, "nr");
     }
 
     #[test]

@@ -50,6 +50,14 @@ fn parse(file: &Value) -> Result<Model, String> {
     let size = |r: &&Value| r["shots"].as_object().map_or(0, Map::len);
     let reconstruction =
         all.iter().rev().max_by_key(size).ok_or("the file holds no reconstruction")?;
+    if all.len() > 1 {
+        let others: usize = all.iter().map(|other| size(&other)).sum();
+        let (others, shots) = (others - size(&reconstruction), size(&reconstruction));
+        tracing::warn!(
+            "the file holds {} reconstructions: the largest is taken, of {shots} shots; {others} shots of the others are left out",
+            all.len()
+        );
+    }
     let object = |key: &str| {
         reconstruction[key].as_object().ok_or_else(|| format!("expected an object {key:?}"))
     };

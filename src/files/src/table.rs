@@ -13,10 +13,14 @@ use separator::Separator;
 use std::path::{Path, PathBuf};
 
 /// A file with rows of fields. All of them are one text: tables of leaves have millions of cells.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Table {
     path: PathBuf,
     header: Vec<String>,
+    /// The columns that say to which side numbers of others count, as EXIF tags do: `GPSLongitudeRef`.
+    sides: Vec<Option<Column>>,
+    /// What a number of each column stands for, in metres or degrees.
+    units: Vec<Result<f64, &'static str>>,
     header_line: usize,
     named: bool,
     preamble: Vec<String>,
@@ -68,6 +72,32 @@ fn normal(title: &str) -> String {
     out
 }
 
+/// Whether a title has a name, letters' case and units aside.
+pub(super) fn is_called(title: &str, name: &str) -> bool {
+    normal(title) == normal(name)
+}
+
+/// The unit in brackets of a title, as a number of metres or degrees, or why it is refused; 1 where there is none, or one of something else.
+fn unit(title: &str) -> Result<f64, &'static str> {
+    let Some(open) = title.find(['(', '[']) else { return Ok(1.0) };
+    let word = title[open + 1..].trim_end().trim_end_matches([')', ']']).trim().to_lowercase();
+    match word.as_str() {
+        "mm" => Ok(0.001),
+        "cm" => Ok(0.01),
+        "dm" => Ok(0.1),
+        "km" => Ok(1000.0),
+        "rad" | "radian" | "radians" => Ok(1f64.to_degrees()),
+        "gon" | "grad" | "gradian" | "gradians" => Ok(0.9),
+        "ft" | "feet" | "foot" | "us-ft" | "us ft" | "usft" | "ftus" | "us survey feet" | "ift" => {
+            Err("feet: there are two that differ, so convert to metres")
+        }
+        "w" | "west" | "s" | "south" => {
+            Err("numbers to the west or south: make them negative and take the letter away")
+        }
+        _ => Ok(1.0),
+    }
+}
+
 /// Whether a line names a reference system, as the first of an OpenDroneMap list does.
 fn names_system(line: &str) -> bool {
     let upper = line.trim_start_matches(['#', ' ']).to_ascii_uppercase();
@@ -95,6 +125,8 @@ impl Table {
         let mut table = Table {
             path: path.to_owned(),
             header: Vec::new(),
+            sides: Vec::new(),
+            units: Vec::new(),
             header_line: 1,
             named: true,
             preamble: Vec::new(),
@@ -119,6 +151,9 @@ impl Table {
         let rest = &text[begin..];
         let separator = if has_header { Separator::of_header(rest) } else { Separator::of(rest) };
         table.fill(&text, begin, &separator, has_header)?;
+        let side = |title: &String| table.column(&[&format!("{}ref", normal(title))]);
+        table.sides = table.header.iter().map(side).collect();
+        table.units = table.header.iter().map(|title| unit(title)).collect();
         Ok(table)
     }
 
@@ -289,13 +324,19 @@ impl Table {
         self.cell(row.first + column.0)
     }
 
-    /// The field as a number; `None` where it is none.
+    /// The field as a number, in metres or degrees where the title has another unit in brackets; `None` where it is none.
     pub(super) fn parse(&self, row: &Row, column: Column) -> Option<f64> {
-        separator::number(self.text(row, column), self.decimal_comma)
+        let number = separator::number(self.text(row, column), self.decimal_comma)?;
+        let side = self.sides[column.0].map_or("", |side| self.text(row, side));
+        let sign = if number > 0.0 && side.starts_with(['W', 'w', 'S', 's']) { -1.0 } else { 1.0 };
+        Some(sign * self.units[column.0].map_or(number, |unit| unit * number))
     }
 
     pub(super) fn number(&self, row: &Row, column: Column) -> Result<f64, FileError> {
         let (title, field) = (&self.header[column.0], self.text(row, column));
+        if let Err(why) = self.units[column.0] {
+            return Err(self.header_fault(format!("{title} has {why}")));
+        }
         match self.parse(row, column).filter(|value| value.is_finite()) {
             Some(value) if value.abs() <= LARGEST => Ok(value),
             Some(_) => Err(self

@@ -53,7 +53,8 @@ const SHIFTS: [(&[u32], &str); 5] = [
     ),
 ];
 
-fn knows_datum(definition: &str) -> bool {
+/// Whether a definition says how its datum lies to WGS84 ([`Crs::knows_datum`]).
+pub fn knows_datum(definition: &str) -> bool {
     let same_as_wgs84 = ["+ellps=GRS80", "+ellps=WGS84"].iter().any(|e| definition.contains(e));
     same_as_wgs84 || ["+datum=", "+towgs84="].iter().any(|key| definition.contains(key))
 }

@@ -85,6 +85,7 @@ fn what_is_missing_is_named() {
         ("image,lat,lon\na,91,1\n", "no place on the globe"),
         ("image,lat,lon\na,x,1\n", "lat is \"x\""),
         ("a,b\nc,d\n", "image"),
+        ("image,lat,lon\na,1,2\na,1,3\n", "a is there twice"),
         ("", "empty"),
     ] {
         std::fs::write(&path, text).unwrap();

@@ -51,8 +51,11 @@ pub(super) fn images(bytes: &[u8]) -> Result<Vec<ImageRow>, Fault> {
         let translation = words.many("a component of the translation")?;
         let camera = words.number("a camera number")?;
         // The name is what is left: it may hold spaces.
-        let name =
-            line.1.splitn(10, char::is_whitespace).nth(9).unwrap_or_default().trim().to_owned();
+        let mut name = line.1.trim_start();
+        for _ in 0..9 {
+            name = name.split_once(char::is_whitespace).map_or("", |(_, rest)| rest.trim_start());
+        }
+        let name = name.trim_end().to_owned();
         if name.is_empty() {
             return Err(words.fault("the image has no name".into()));
         }

@@ -21,6 +21,9 @@ const PIXEL_SCALE: u16 = 33_550;
 const TIE_POINT: u16 = 33_922;
 const TRANSFORMATION: u16 = 34_264;
 
+/// `VerticalUnitsGeoKey`.
+const VERTICAL_UNITS: u16 = 4099;
+
 const NOWHERE: Crs = Crs { kind: CrsKind::Unknown, ..Crs::LOCAL };
 
 /// By the tags of the file; what they do not say of the reference system, a `.prj` file beside it says.
@@ -99,6 +102,15 @@ fn projection_beside(path: &Path) -> Result<Option<Crs>, FileError> {
                 .map_err(|error| FileError::malformed(&projection, None, error.to_string()))?;
             Ok(Some(Crs::from(&system)))
         }
+    }
+}
+
+/// Metres of the unit that the keys of the file give to heights; 1 where they give none.
+pub(super) fn vertical_unit_m(file: &GeoTiffFile) -> f64 {
+    match file.geokeys().get_short(VERTICAL_UNITS) {
+        Some(FOOT) => crs::FOOT_M,
+        Some(SURVEY_FOOT) => crs::US_SURVEY_FOOT_M,
+        _ => 1.0,
     }
 }
 

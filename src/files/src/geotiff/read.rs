@@ -44,6 +44,8 @@ pub struct Reader {
     square: Square,
     bands: Bands,
     nodata: Option<f64>,
+    /// Metres of a unit of heights.
+    vertical_m: f64,
     /// The sample value of full brightness, once it is known.
     full: OnceLock<f64>,
     /// The sample value of a reflectance of 1 by the settings, and as it was found.
@@ -121,6 +123,10 @@ impl Reader {
                 (place, tag.and_then(|tag| tag.value.as_str()).map(str::to_owned))
             }
         };
+        let vertical_m = match &file {
+            File::Placed(file) => place::vertical_unit_m(file),
+            File::Plain(_) => 1.0,
+        };
         let nodata = match nodata {
             None => None,
             Some(text) => Some(text.trim_matches(['\0', ' ']).trim().parse().map_err(|_| {
@@ -152,6 +158,7 @@ impl Reader {
             square,
             bands,
             nodata,
+            vertical_m,
             full: OnceLock::new(),
             given_reflectance: reading.full_reflectance,
             reflectance: OnceLock::new(),
@@ -227,14 +234,21 @@ impl Reader {
         memory::require(&self.path, &what, pixels.saturating_mul(pixel))
     }
 
-    /// The values of the first band of a window as `f32`, whatever they are stored as; NaN where there
-    /// are no data.
+    /// The values of the first band of a window as `f32`, whatever they are stored as, heights in metres; NaN where there
+    /// are no data, -9999 among them.
     ///
     /// # Errors
     /// As [`Reader::read`].
     pub fn read_f32(&self, window: Window) -> Result<Vec<f32>, FileError> {
-        let all = self.values(self.directory, window)?;
-        Ok(all.into_iter().step_by(self.bands()).collect())
+        // What most programs write for no data, some without saying so.
+        const NO_DATA: f32 = -9999.0;
+        let in_metres = |value: f32| match value {
+            NO_DATA => f32::NAN,
+            _ if self.vertical_m == 1.0 => value,
+            _ => (f64::from(value) * self.vertical_m) as f32,
+        };
+        let all = self.values(self.directory, window)?.into_iter().step_by(self.bands());
+        Ok(all.map(in_metres).collect())
     }
 
     /// All samples of a window as `f32`; NaN where they are the value of no data.

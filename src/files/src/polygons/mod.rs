@@ -94,16 +94,22 @@ pub const ENDINGS: [&str; 3] = ["geojson", "gpkg", "shp"];
 
 /// The file of polygons named `stem` in a folder, where there is one.
 pub fn find(folder: &Path, stem: &str) -> Option<PathBuf> {
-    let files = ENDINGS.iter().map(|ending| folder.join(format!("{stem}.{ending}")));
-    files.into_iter().find(|path| path.is_file())
+    let wanted = ENDINGS.map(|ending| format!("{stem}.{ending}"));
+    let mut files: Vec<PathBuf> =
+        std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path()).collect();
+    files.sort();
+    let is_named = |path: &&PathBuf, name: &String| {
+        path.file_name().is_some_and(|of| of.eq_ignore_ascii_case(name.as_str())) && path.is_file()
+    };
+    wanted.iter().find_map(|name| files.iter().find(|path| is_named(path, name)).cloned())
 }
 
 /// All files that a file of polygons consists of, itself first.
 pub fn files(path: &Path) -> Vec<PathBuf> {
     let mut files = vec![path.to_owned()];
     if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("shp")) {
-        let beside = ["dbf", "shx", "prj", "qpj", "cpg"].map(|ending| path.with_extension(ending));
-        files.extend(beside.into_iter().filter(|path| path.is_file()));
+        let beside = ["dbf", "shx", "prj", "qpj", "cpg"];
+        files.extend(beside.iter().filter_map(|ending| shapes::beside(path, ending)));
     }
     files
 }
@@ -129,8 +135,12 @@ pub fn read_layer(path: &Path, drawn: Drawn<'_>) -> Result<Layer, FileError> {
     let Some(size) = drawn.size else { return read.map_err(malformed) };
     match read {
         Ok(layer) if layer.polygons.iter().any(|of| touches(&of.polygon, size)) => Ok(layer),
-        // Places that a projection does not reach, and places beside the raster, may have the same cause.
+        // Places that a projection does not reach, and places beside the raster, may have the same cause; what is wrong wherever they lie
+        // has another.
         other => {
+            let same: ToMap = Box::new(Ok);
+            layer(&features, Drawn { key: drawn.key, ..Drawn::default() }, &same)
+                .map_err(malformed)?;
             let cause = systems::misfit(drawn.place, size, &stated, &features);
             Err(malformed(match (other, cause) {
                 (_, Some(cause)) => cause,
@@ -159,6 +169,23 @@ pub fn is_placed(path: &Path) -> Result<bool, FileError> {
     let (features, stated) = features(path)?;
     let mut positions = features.iter().flat_map(Feature::positions);
     Ok(stated != Stated::Nothing || positions.all(systems::in_degrees))
+}
+
+/// Whether two polygons share an area, looked for on a grid over what their boxes share.
+fn overlap(a: &Polygon, b: &Polygon) -> bool {
+    const PLACES: usize = 32;
+    let Some((a_box, b_box)) = a.bounds().zip(b.bounds()) else { return false };
+    let low = [0, 1].map(|k| a_box[0][k].max(b_box[0][k]));
+    let high = [0, 1].map(|k| a_box[1][k].min(b_box[1][k]));
+    let at = |k: usize, n: usize| low[k] + (n as f64 + 0.5) / PLACES as f64 * (high[k] - low[k]);
+    let places: Vec<[f64; 2]> =
+        (0..PLACES * PLACES).map(|n| [at(0, n % PLACES), at(1, n / PLACES)]).collect();
+    let shared = low[0] < high[0] && low[1] < high[1];
+    let within_a: Vec<[f64; 2]> = match shared {
+        true => a.inside(&places).into_iter().map(|n| places[n]).collect(),
+        false => Vec::new(),
+    };
+    !b.inside(&within_a).is_empty()
 }
 
 /// Whether the box around a polygon meets a raster.
@@ -212,15 +239,14 @@ struct Outlines<'a> {
 impl Outlines<'_> {
     fn polygon(&self, parts: &[Rings], notes: &mut Vec<String>) -> Result<Polygon, String> {
         let Outlines { name, place, .. } = self;
-        let mut polygon = Polygon::default();
+        let mut whole = Vec::<Polygon>::with_capacity(parts.len());
         for part in parts {
             let rings = part.iter().map(|ring| self.ring(ring));
             let mut rings = rings.collect::<Result<Vec<_>, _>>()?.into_iter();
             let Some(outline) = rings.next() else { continue };
             let shell = Polygon { rings: vec![outline] };
-            let holes: Vec<_> = rings.collect();
-            polygon.rings.extend(shell.rings.iter().cloned());
-            for hole in holes {
+            let mut polygon = shell.clone();
+            for hole in rings {
                 // A hole beside its outline would add its area.
                 if shell.inside(&hole).is_empty() {
                     notes.push(format!(
@@ -230,7 +256,14 @@ impl Outlines<'_> {
                     polygon.rings.push(hole);
                 }
             }
+            if whole.iter().any(|other| overlap(other, &polygon)) {
+                return Err(format!(
+                    "feature {name}: two of its parts lie over each other, expected parts beside each other; dissolve them into one"
+                ));
+            }
+            whole.push(polygon);
         }
+        let polygon = Polygon { rings: whole.into_iter().flat_map(|part| part.rings).collect() };
         if let Some(at) = polygon.crossing() {
             let [x, y] = place.map_or(at, |place| place.map(at));
             return Err(format!(

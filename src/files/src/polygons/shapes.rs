@@ -6,13 +6,17 @@ use rowgram_optim::output::FileError;
 use rowgram_raster::polygon::Polygon;
 use serde_json::{Map, Value};
 use shapefile::{
-    Point, PolygonRing, Reader, ShapeReader,
+    Point, PolygonRing, ShapeReader,
     dbase::{
-        FieldValue, ReaderBuilder, Record,
+        self, FieldValue, ReaderBuilder, Record,
         encoding::{DynEncoding, EncodingRs, Unicode},
     },
 };
-use std::path::Path;
+use std::{
+    fs::File,
+    io::BufReader,
+    path::{Path, PathBuf},
+};
 
 /// The polygons of a file, and what its coordinates are.
 pub(super) fn read(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
@@ -34,53 +38,84 @@ pub(super) fn read(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
         features.push(Feature { shape, properties: properties.collect::<Map<_, _>>(), id: None });
     }
     // QGIS wrote a second description with codes for a while.
-    for ending in ["qpj", "prj"] {
-        let projection = path.with_extension(ending);
-        match std::fs::read(&projection) {
-            Ok(text) => {
-                let text = String::from_utf8_lossy(&text);
-                let stated = Stated::well_known_text(text.trim_start_matches('\u{feff}').trim());
-                let stated = stated.map_err(|why| {
-                    let message =
-                        format!("{why}; save the file in the system of the map, or as GeoJSON");
-                    FileError::malformed(&projection, None, message)
-                })?;
-                return Ok((features, stated));
-            }
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
-            Err(error) => return Err(FileError::read(&projection, error)),
-        }
+    let projection = ["qpj", "prj"].into_iter().find_map(|ending| beside(path, ending));
+    if let Some(projection) = projection {
+        let text = std::fs::read(&projection).map_err(|e| FileError::read(&projection, e))?;
+        let text = String::from_utf8_lossy(&text);
+        let stated = Stated::well_known_text(text.trim_start_matches('\u{feff}').trim());
+        let stated = stated.map_err(|why| {
+            let message = format!("{why}; save the file in the system of the map, or as GeoJSON");
+            FileError::malformed(&projection, None, message)
+        })?;
+        return Ok((features, stated));
     }
     Ok((features, Stated::Nothing))
 }
 
-/// Shapes and rows of the table. Texts are in the encoding of the `.cpg` file; without one in UTF-8, else in Windows-1252,
-/// which holds Latin-1.
+/// The file beside a shapefile with an ending, in small letters or capitals.
+pub(super) fn beside(path: &Path, ending: &str) -> Option<PathBuf> {
+    let capitals = ending.to_uppercase();
+    let named = [ending, &capitals].map(|ending| path.with_extension(ending));
+    named.into_iter().find(|path| path.is_file())
+}
+
+/// Shapes and rows of the table, without those that were deleted. Texts are in the encoding of the `.cpg` file; without one in UTF-8, else in
+/// Windows-1252, which holds Latin-1.
 fn records(path: &Path) -> Result<Vec<(shapefile::Shape, Record)>, FileError> {
-    let malformed = |error: shapefile::Error| {
-        let message = format!("{error}; expected a shapefile with its .shx and .dbf beside it");
-        FileError::malformed(path, None, message)
+    let Some(table) = beside(path, "dbf") else {
+        let message = "there is no table beside it, expected a .dbf file of the same name";
+        return Err(FileError::malformed(path, None, message));
     };
-    let with = |encoding: DynEncoding| {
-        let table = ReaderBuilder::new().with_encoding(encoding).open(path.with_extension("dbf"));
-        let table = table.map_err(shapefile::Error::DbaseError)?;
-        Reader::new(ShapeReader::from_path(path)?, table).read()
+    let deleted = deleted_rows(&table)?;
+    let shapes =
+        shapes(path).map_err(|error| FileError::malformed(path, None, error.to_string()))?;
+    if shapes.len() != deleted.len() {
+        let message = format!(
+            "it has {} rows for the {} shapes of {}: save the file again",
+            deleted.len(),
+            shapes.len(),
+            path.display()
+        );
+        return Err(FileError::malformed(&table, None, message));
+    }
+    let rows = |encoding: DynEncoding| -> Result<Vec<Record>, dbase::Error> {
+        ReaderBuilder::new().with_encoding(encoding).open(&table)?.read()
     };
-    if let Some(encoding) = stated_encoding(path)? {
-        return with(EncodingRs::from(encoding).into()).map_err(malformed);
-    }
-    match with(Unicode.into()) {
-        Err(shapefile::Error::DbaseError(_)) => {
-            with(EncodingRs::from(WINDOWS_1252).into()).map_err(malformed)
-        }
-        other => other.map_err(malformed),
-    }
+    let rows = match stated_encoding(path)? {
+        Some(encoding) => rows(EncodingRs::from(encoding).into()),
+        None => rows(Unicode.into()).or_else(|_| rows(EncodingRs::from(WINDOWS_1252).into())),
+    };
+    let rows = rows.map_err(|error| FileError::malformed(&table, None, error.to_string()))?;
+    let shapes = shapes.into_iter().zip(deleted).filter(|(_, is_deleted)| !is_deleted);
+    Ok(shapes.map(|(shape, _)| shape).zip(rows).collect())
+}
+
+/// The shapes, by the index where there is one: a shape that has grown may stand at the end of the file.
+fn shapes(path: &Path) -> Result<Vec<shapefile::Shape>, shapefile::Error> {
+    let open = |path: &Path| File::open(path).map(BufReader::new);
+    let Some(index) = beside(path, "shx") else { return ShapeReader::new(open(path)?)?.read() };
+    let mut reader = ShapeReader::with_shx(open(path)?, open(&index)?)?;
+    (0..reader.shape_count()?).filter_map(|k| reader.read_nth_shape(k)).collect()
+}
+
+/// Which rows of a table are deleted: editors leave them in the file.
+fn deleted_rows(table: &Path) -> Result<Vec<bool>, FileError> {
+    let bytes = crate::memory::read_file(table)?;
+    let number = |at: usize, size: usize| {
+        let bytes = bytes.get(at..at + size)?;
+        Some(bytes.iter().rev().fold(0, |sum, &byte| 256 * sum + usize::from(byte)))
+    };
+    let header = number(4, 4).zip(number(8, 2)).zip(number(10, 2));
+    let deleted = header.and_then(|((count, first), length)| {
+        (0..count).map(|row| Some(*bytes.get(first + row * length)? == b'*')).collect()
+    });
+    deleted.ok_or_else(|| FileError::malformed(table, None, "it is cut off"))
 }
 
 /// The encoding that a `.cpg` file names: `UTF-8`, `ISO-8859-1`, `1252`, `ANSI 1252`, `88591`.
 fn stated_encoding(path: &Path) -> Result<Option<&'static Encoding>, FileError> {
-    let file = path.with_extension("cpg");
-    let Ok(bytes) = std::fs::read(&file) else { return Ok(None) };
+    let Some(file) = beside(path, "cpg") else { return Ok(None) };
+    let bytes = std::fs::read(&file).map_err(|error| FileError::read(&file, error))?;
     let text = String::from_utf8_lossy(&bytes).trim_start_matches('\u{feff}').trim().to_lowercase();
     let digits: String = text.chars().filter(char::is_ascii_digit).collect();
     let label = match digits.as_str() {
@@ -132,6 +167,7 @@ fn value(field: FieldValue) -> Value {
         FieldValue::Integer(x) => x.into(),
         FieldValue::Double(x) | FieldValue::Currency(x) => x.into(),
         FieldValue::Logical(x) => x.into(),
-        FieldValue::Date(_) | FieldValue::DateTime(_) => Value::Null,
+        FieldValue::Date(date) => date.map(|date| date.to_string()).into(),
+        FieldValue::DateTime(time) => time.date().to_string().into(),
     }
 }

@@ -71,6 +71,19 @@ fn is_global(definition: &str) -> bool {
         .any(|key| definition.contains(key))
 }
 
+/// Whether two systems that do not say how their datum lies to WGS84 have the same.
+fn same_datum(a: &crs::Crs, b: &crs::Crs) -> bool {
+    let of = |system: &crs::Crs| -> Vec<String> {
+        let datum = ["+ellps=", "+datum=", "+towgs84=", "+a=", "+b=", "+rf=", "+nadgrids="];
+        let words = system.definition().split_whitespace();
+        words
+            .filter(|word| datum.iter().any(|key| word.starts_with(key)))
+            .map(str::to_owned)
+            .collect()
+    };
+    of(a) == of(b)
+}
+
 /// From coordinates of a file to those of a map.
 pub(super) type ToMap = Box<dyn Fn([f64; 2]) -> Result<[f64; 2], String>>;
 
@@ -130,10 +143,11 @@ fn from_to(stated: &Stated, place: &Georeference) -> Result<ToMap, String> {
     };
     // Well-known text of Esri names a datum and does not say where it lies: some hundred metres from WGS84, or more.
     for definition in [from.definition(), onto.definition()] {
-        let is_known = !definition.contains("+towgs84=0,0,0,0,0,0,0");
-        if !is_known && !is_global(definition) {
+        let is_known =
+            crs::knows_datum(definition) && !definition.contains("+towgs84=0,0,0,0,0,0,0");
+        if !is_known && !is_global(definition) && !same_datum(&from, &onto) {
             return Err(format!(
-                "the datum of its system ({definition}) is not known; save the file in the system of the map, or state an EPSG code"
+                "where the datum of its system ({definition}) lies is not known; save the file in the system of the map"
             ));
         }
     }

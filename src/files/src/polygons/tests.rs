@@ -319,3 +319,101 @@ fn systems_are_read_from_well_known_text() {
     let place = Georeference::north_up([500_000.0, 6_000_000.0], 0.01, Crs::projected(32630));
     assert!(read(&path, Some(&place)).unwrap_err().to_string().contains("datum"));
 }
+
+/// Plots 1 to 3, side by side, as a shapefile.
+fn three_plots(folder: &Path) -> PathBuf {
+    use shapefile::{
+        Point, PolygonRing,
+        dbase::{FieldValue, Record, TableWriterBuilder},
+    };
+    let path = folder.join("PLOTS.shp");
+    let table = TableWriterBuilder::new().add_character_field("PLOT".try_into().unwrap(), 20);
+    let mut writer = shapefile::Writer::from_path(&path, table).unwrap();
+    for (k, x) in [(1, 0.0), (2, 20.0), (3, 40.0)] {
+        let ring = [(x, 0.0), (x, 10.0), (x + 10.0, 10.0), (x, 0.0)];
+        let ring = PolygonRing::Outer(ring.map(|(x, y)| Point::new(x, y)).into());
+        let mut record = Record::default();
+        record.insert("PLOT".into(), FieldValue::Character(Some(k.to_string())));
+        writer.write_shape_and_record(&shapefile::Polygon::new(ring), &record).unwrap();
+    }
+    drop(writer);
+    path
+}
+
+#[test]
+fn rows_of_a_shapefile_stay_with_their_shapes() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = three_plots(folder.path());
+    let names = |path: &Path| -> Vec<(String, f64)> {
+        let plots = read(path, None).unwrap();
+        plots.into_iter().map(|of| (of.name, of.polygon.bounds().unwrap()[0][0])).collect()
+    };
+    let all = [("1".to_owned(), 0.0), ("2".to_owned(), 20.0), ("3".to_owned(), 40.0)];
+    assert_eq!(names(&path), all);
+    // A shape that grew stands at the end of the file, and the index knows where.
+    let (shapes, index) = (std::fs::read(&path).unwrap(), path.with_extension("shx"));
+    let offsets = std::fs::read(&index).unwrap();
+    let length = (shapes.len() - 100) / 3;
+    let moved = [&shapes[..], &shapes[100 + length..100 + 2 * length]].concat();
+    let mut moved_index = offsets.clone();
+    moved_index[108..112].copy_from_slice(&((shapes.len() / 2) as u32).to_be_bytes());
+    std::fs::write(&path, moved).unwrap();
+    std::fs::write(&index, moved_index).unwrap();
+    assert_eq!(names(&path), all);
+    std::fs::write(&path, &shapes).unwrap();
+    std::fs::write(&index, &offsets).unwrap();
+    // A deleted row, and endings in capitals.
+    let table = path.with_extension("dbf");
+    let rows = std::fs::read(&table).unwrap();
+    let first = usize::from(rows[8]) + 256 * usize::from(rows[9]);
+    let mut deleted = rows.clone();
+    deleted[first + 21] = b'*';
+    std::fs::write(&table, &deleted).unwrap();
+    std::fs::rename(&table, path.with_extension("DBF")).unwrap();
+    std::fs::rename(&index, path.with_extension("SHX")).unwrap();
+    assert_eq!(names(&path), [all[0].clone(), all[2].clone()]);
+    assert_eq!((find(folder.path(), "plots"), files(&path).len()), (Some(path.clone()), 3));
+    // A row too few.
+    let mut short = rows;
+    short[4] = 2;
+    std::fs::write(path.with_extension("DBF"), &short).unwrap();
+    let error = read(&path, None).unwrap_err().to_string();
+    assert!(error.contains("2 rows for the 3 shapes"), "{error}");
+}
+
+#[test]
+fn parts_over_each_other_are_refused_and_islands_are_not() {
+    let square = |x: f64, side: f64| {
+        let (low, high) = (x - side, x + side);
+        format!("[[{low},{low}],[{high},{low}],[{high},{high}],[{low},{high}],[{low},{low}]]")
+    };
+    let read = |parts: &[String]| {
+        let parts = parts.join(",");
+        let text = format!(
+            r#"{{"type":"FeatureCollection","features":[{{"type":"Feature","properties":{{"plot":1}},
+            "geometry":{{"type":"MultiPolygon","coordinates":[{parts}]}}}}]}}"#
+        );
+        parse(&text, None).map(|plots| plots[0].polygon.pixels())
+    };
+    let [one, twice, other] =
+        [(0.0, 5.0), (4.0, 5.0), (12.0, 5.0)].map(|(x, side)| square(x, side));
+    for parts in
+        [[format!("[{one}]"), format!("[{twice}]")], [format!("[{one}]"), format!("[{one}]")]]
+    {
+        assert!(read(&parts).unwrap_err().contains("parts lie over each other"));
+    }
+    assert_eq!(read(&[format!("[{one}]"), format!("[{other}]")]), Ok(200));
+    let island = [format!("[{one},{}]", square(0.0, 3.0)), format!("[{}]", square(0.0, 1.0))];
+    assert_eq!(read(&island), Ok(100 - 36 + 4));
+}
+
+#[test]
+fn faults_are_told_before_the_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plots.geojson");
+    let place = Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(32616));
+    std::fs::write(&path, PLOTS.replace("\"id\":7", "\"id\":\"A\"")).unwrap();
+    let drawn = Drawn { place: Some(&place), size: Some((20, 20)), ..Drawn::default() };
+    let error = read_layer(&path, drawn).unwrap_err().to_string();
+    assert!(error.contains("two polygons are named \"A\""), "{error}");
+}

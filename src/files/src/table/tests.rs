@@ -87,3 +87,16 @@ fn titles_are_compared_without_units_and_case() {
         assert_eq!(normal(title), name);
     }
 }
+
+#[test]
+fn units_of_titles_are_converted_or_refused() {
+    let table = read(b"name,x [cm],omega (rad),z (ft),GPSLongitude,GPSLongitudeRef,n (W)\na,250,0.1,3,87.5,W,2\n");
+    let number = |name: &str| table.number(&table.rows()[0], table.column(&[name]).unwrap());
+    assert_eq!(number("x").unwrap(), 2.5);
+    assert!((number("omega").unwrap() - 5.729_577_951).abs() < 1e-8);
+    assert_eq!(number("gpslongitude").unwrap(), -87.5);
+    for (name, expected) in [("z", "z (ft) has feet"), ("n", "make them negative")] {
+        let error = number(name).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}

@@ -186,6 +186,9 @@ pub(super) fn read(
     known.keep = sources.keep.to_vec();
     let taken: Vec<Geotag> = tagged.iter().map(|(_, tag)| *tag).collect();
     places::check_numbers(&known.ground)?;
+    if geographic && sources.use_positions {
+        places::check_degrees(&known.ground, &taken)?;
+    }
     if let Some(crs) = &crs {
         places::check_crs(crs, &taken)?;
         if !geographic && sources.use_positions {

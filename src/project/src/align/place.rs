@@ -1,7 +1,7 @@
 //! Whether camera positions and control are where they can be: beyond what a receiver can be wrong by, columns are
 //! exchanged, a zone is another one, or units are.
 
-use super::inputs::Photo;
+use super::{ground::REACH_M, inputs::Photo};
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
@@ -218,6 +218,36 @@ pub(super) fn check_control(
         if far_m < 1e4 { format!("{far_m:.0} m") } else { format!("{:.0} km", far_m / 1e3) },
         crs.name()
     )))
+}
+
+/// Whether control in latitude and longitude lies where the photos were taken.
+///
+/// # Errors
+/// Where it does not, with the likely cause.
+pub(super) fn check_degrees(ground: &[GroundPoint], tags: &[Geotag]) -> Result<(), Error> {
+    if ground.is_empty() || tags.is_empty() {
+        return Ok(());
+    }
+    let photos = middle(tags);
+    let far_m = |read: &dyn Fn([f64; 2]) -> [f64; 2]| {
+        let away = |p: &GroundPoint| distance_m(photos, read([p.position_m[0], p.position_m[1]]));
+        median(ground.iter().map(away)).unwrap_or(0.0)
+    };
+    let own_m = far_m(&|place| place);
+    if own_m <= REACH_M {
+        return Ok(());
+    }
+    let cause = if far_m(&|[lat, lon]| [lon, lat]) <= REACH_M {
+        "latitude and longitude are exchanged in the file: exchange its columns"
+    } else if far_m(&|[lat, lon]| [lat, -lon]) <= REACH_M {
+        "longitudes west of Greenwich are negative"
+    } else if far_m(&|[lat, lon]| [-lat, lon]) <= REACH_M {
+        "latitudes south of the equator are negative"
+    } else {
+        "check the columns of the control points; where the camera positions are wrong, leave them out with [align] use_positions = false"
+    };
+    let far_km = own_m / 1e3;
+    Err(Error::Argument(format!("the control points are {far_km:.0} km from the photos; {cause}")))
 }
 
 /// The likely cause where control of a system that nobody named lies far from the photos.
