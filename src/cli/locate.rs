@@ -67,11 +67,20 @@ fn text(outcome: &LocateOutcome) -> String {
         }
     }
     if outcome.stand.as_ref().is_some_and(StandOutcome::has_closed) {
-        return format!("leaves have closed{rows} and show no plants; {plants} places are guesses");
+        return match outcome.rows {
+            0 => {
+                format!("leaves cover the picture and show no plants; {plants} places are guesses")
+            }
+            _ => {
+                format!("leaves have closed{rows} and show no plants; {plants} places are guesses")
+            }
+        };
     }
     if let Some(stand) = &outcome.stand {
         let [low, high] = stand.plants_interval;
-        let _ = write!(text, "; {low:.0} to {high:.0} by the leaves alone");
+        if low < high {
+            let _ = write!(text, "; {low:.0} to {high:.0} with a probability of 95 %");
+        }
         match (stand.spacing_m, stand.spacing_interval_m) {
             (Some(m), Some(interval)) => {
                 let [low, high] = interval.map(|end| 100.0 * end);

@@ -105,14 +105,19 @@ pub(super) fn checks(
         let message = format!("{:.0} % of its frame is covered by photos", 100.0 * share);
         found.push(Diagnostic::info("map-coverage", "orthomosaic", message));
     }
-    if let Some(stand) = outcome.results.locate.as_ref().and_then(|locate| locate.stand.as_ref()) {
+    let locate = outcome.results.locate.as_ref();
+    if let Some((locate, stand)) = locate.and_then(|of| Some((of, of.stand.as_ref()?))) {
         let confidence = stand.mean_confidence;
         let severity = rising(-confidence, [-limits.confidence_yellow, -limits.confidence_red]);
         let mut message = format!("mean confidence {confidence:.2}");
         let severity = if stand.doubts.is_empty() {
             severity
         } else if stand.has_closed() {
-            message = "leaves have closed along the rows and show no plants; plots have row_cover and row_gap_share instead".to_owned();
+            message = match locate.rows {
+                0 => "leaves cover the picture and show no plants",
+                _ => "leaves have closed along the rows and show no plants; plots have row_cover and row_gap_share instead",
+            }
+            .to_owned();
             Severity::Warning
         } else {
             message.push_str("; this looks like no stand of a crop, as locate says");

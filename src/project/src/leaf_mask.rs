@@ -1,7 +1,7 @@
 //! The leaf mask of a photo, with the posterior probability of vegetation where it was estimated; as a whole, or band by band.
 
 use super::{Project, Stage, segment::SegmentOptions};
-use image::RgbImage;
+use image::{Rgb, RgbImage};
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
@@ -239,9 +239,17 @@ impl<'a> Segmenter<'a> {
                     |why: VegetationError| FileError::malformed(image, None, why.to_string());
                 let size = source.size();
                 let mut estimator = Estimator::new(size, &how).map_err(malformed)?;
+                let (mut is_grey, mut is_black) = (ndvi.is_none(), true);
                 for band in window::bands(size.1, BAND_ROWS, Estimator::HALO) {
                     let rows = SeenRows::read(source, ndvi.as_ref(), &band)?;
+                    let grey = |pixel: &Rgb<u8>| pixel.0 == [pixel.0[0]; 3];
+                    is_grey = is_grey && rows.photo.pixels().all(grey);
+                    is_black = is_black && rows.photo.pixels().all(|pixel| pixel.0 == [0; 3]);
                     estimator.add(&band, rows.seen());
+                }
+                if is_grey && !is_black {
+                    let message = "it has more than two values and no colours, expected a mask of two values or a photo in colours";
+                    return Err(FileError::malformed(image, None, message).into());
                 }
                 let estimate = estimator.finish().map_err(malformed)?;
                 tell_of_noise(&estimate.model, image, monitor);

@@ -84,7 +84,7 @@ pub struct DescentOutcome {
 /// The stand in numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StandOutcome {
-    /// Interval of the number of plants that the leaves alone suggest.
+    /// Interval of 95 % of the number of plants; just the number where it was given.
     pub plants_interval: [f64; 2],
     /// Distance of plants within their row.
     pub spacing_px: f64,

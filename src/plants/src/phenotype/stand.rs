@@ -198,7 +198,7 @@ pub struct Stand {
     pub spacing: Spacing,
     /// Standard error of the spacing.
     pub spacing_sigma_px: f64,
-    /// 95 % interval of the number of plants that the leaves alone suggest.
+    /// 95 % interval of the number of plants; just the number where it was told.
     pub count_interval: [f64; 2],
     /// Expected number of plants in each row.
     pub row_counts: Vec<f64>,
@@ -312,6 +312,13 @@ impl Stand {
         let half = 0.5 * (high - low);
         let more = ((wider - 1.0) * half).max(half_width * self.plants.len() as f64 - half);
         self.count_interval = [(low - more).max(0.0), high + more];
+    }
+
+    /// The number of plants is known where it was told.
+    pub(super) fn is_told(&mut self, count: Option<usize>) {
+        if let Some(count) = count {
+            self.count_interval = [count as f64; 2];
+        }
     }
 
     /// Puts the rows through the middle of their plants, [`LEAST`] or more, and fits the distance between rows to that.

@@ -71,8 +71,13 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
                 ),
                 "count on an earlier photo, or give the number of plants (plants)",
             ),
+            Doubt::Closed if rows == 0 => (
+                "leaves cover most of the picture: nothing tells plants apart, and their places and their number are guesses"
+                    .to_owned(),
+                "count on an earlier photo, or give the number of plants (plants)",
+            ),
             Doubt::Closed => (
-                "leaves have closed and show no blades, or cover most of a picture without rows: nothing tells plants apart, their places and their number are guesses, and plots have row_cover and row_gap_share instead"
+                "leaves have closed and show no blades: nothing tells plants apart, their places and their number are guesses, and plots have row_cover and row_gap_share instead"
                     .to_owned(),
                 "count on an earlier photo, or give the number of plants (plants)",
             ),

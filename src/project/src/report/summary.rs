@@ -56,8 +56,10 @@ fn traits(text: &mut String, outcome: &RunOutcome) -> std::fmt::Result {
 fn plants(text: &mut String, locate: &LocateOutcome) -> std::fmt::Result {
     let stand = locate.stand.as_ref();
     if stand.is_some_and(StandOutcome::has_closed) {
-        let rows = locate.rows;
-        return writeln!(text, "plants  not told apart: leaves have closed along {rows} rows");
+        return match locate.rows {
+            0 => writeln!(text, "plants  not told apart: leaves cover the picture"),
+            rows => writeln!(text, "plants  not told apart: leaves have closed along {rows} rows"),
+        };
     }
     match locate.rows {
         0 => write!(text, "plants  {}, no rows stand out", locate.plants)?,

@@ -212,7 +212,9 @@ pub(super) fn plants(facts: &Facts<'_>) -> Result<Section, Error> {
             (locate.plants) " plants in " (locate.rows) " rows"
             @if let Some(stand) = &locate.stand {
                 @let [low, high] = stand.plants_interval;
-                " (by the leaves alone " (format!("{low:.0}")) " to " (format!("{high:.0}")) ")"
+                @if low < high {
+                    " (" (format!("{low:.0}")) " to " (format!("{high:.0}")) " with a probability of 95 %)"
+                }
                 @if stand.spacing_m.is_some() {
                     "; " (cm(stand.spacing_m)) " cm apart, rows " (cm(locate.row_spacing_m)) " cm"
                 }

@@ -121,9 +121,8 @@ fn needs(stage: Stage) -> &'static [Stage] {
         Stage::Dem => &[Stage::Align],
         Stage::Surface | Stage::Ortho => &[Stage::Align, Stage::Dem],
         Stage::Segment => &[Stage::Ortho],
-        Stage::LeafDensity | Stage::LeafCount | Stage::Locate | Stage::Leaves | Stage::Plots => {
-            &[Stage::Segment]
-        }
+        Stage::LeafDensity | Stage::LeafCount | Stage::Locate => &[Stage::Segment],
+        Stage::Leaves | Stage::Plots => &[Stage::Segment, Stage::Locate],
         Stage::Evaluate => &[Stage::Locate],
     }
 }
