@@ -95,17 +95,20 @@ fn summary(outcome: &SeasonOutcome) -> String {
             },
         };
         let plants = flight.plants.map(|plants| format!(", {plants} plants")).unwrap_or_default();
-        text += &format!("\n  {}  day {:<5} {frame}{plants}", flight.date, flight.day);
+        let red = match flight.red_checks {
+            0 => String::new(),
+            1 => ", 1 red check (see its report)".to_owned(),
+            n => format!(", {n} red checks (see its report)"),
+        };
+        text += &format!("\n  {}  day {:<5} {frame}{plants}{red}", flight.date, flight.day);
     }
     for of in &outcome.traits {
         let fitted = of.plots.iter().filter(|plot| plot.curve.is_some()).count();
-        text += &format!(
-            "\n  {:<18} {} curves of {} plots ({})",
-            of.name,
-            fitted,
-            of.plots.len(),
-            of.model
-        );
+        let plots = of.plots.len();
+        text += &match fitted {
+            0 => format!("\n  {:<18} no curve of {plots} plots", of.name),
+            _ => format!("\n  {:<18} {fitted} curves of {plots} plots ({})", of.name, of.model),
+        };
     }
     text += &format!("\n  {} plants followed, {} outliers", outcome.tracks, outcome.outliers.len());
     text

@@ -137,6 +137,25 @@ pub(super) fn check_files(
     }
 }
 
+/// Refuses tables that are written as CSV under the name of another format.
+///
+/// # Errors
+/// Which, and what was expected.
+pub(super) fn check_tables(paths: &[&Path]) -> Result<(), Error> {
+    const OTHERS: [&str; 8] = ["gpkg", "geojson", "shp", "parquet", "json", "xlsx", "png", "tif"];
+    let is_other = |path: &&&Path| {
+        let ending = path.extension();
+        ending.is_some_and(|ending| OTHERS.iter().any(|of| ending.eq_ignore_ascii_case(of)))
+    };
+    match paths.iter().find(is_other) {
+        None => Ok(()),
+        Some(path) => Err(Error::Argument(format!(
+            "{}: it would be a table of text, expected a name that ends in .csv",
+            path.display()
+        ))),
+    }
+}
+
 /// The paths that are given, of some that need not be.
 pub(super) fn given<'a>(paths: impl IntoIterator<Item = Option<&'a Path>>) -> Vec<&'a Path> {
     paths.into_iter().flatten().collect()

@@ -16,6 +16,8 @@ pub(super) const IMAGE: &[&str] = &[
     "photo_name",
     "label",
     "name",
+    "photoid",
+    "photo_id",
     "source_file",
     "sourcefile",
     "camera",
@@ -129,6 +131,7 @@ pub(super) const HEIGHT: &[&str] = &[
     "ellh",
     "h",
     "hoehe",
+    "höhe",
     "map_z",
     "point_z",
 ];

@@ -374,8 +374,14 @@ fn decode_bytes(bytes: &[u8]) -> Result<Stored, String> {
         Ok(
             other @ (ImageFormat::WebP | ImageFormat::Gif | ImageFormat::Bmp | ImageFormat::Avif),
         ) => {
+            let kind = match other {
+                ImageFormat::WebP => "WebP",
+                ImageFormat::Gif => "GIF",
+                ImageFormat::Bmp => "BMP",
+                _ => "AVIF",
+            };
             return Err(format!(
-                "it is a {other:?} picture whatever its name says, expected PNG, JPEG or TIFF: convert it first"
+                "it is a {kind} picture whatever its name says, expected PNG, JPEG or TIFF: convert it first"
             ));
         }
         _ => return Err("expected a PNG, JPEG or TIFF picture".to_owned()),

@@ -115,7 +115,9 @@ pub fn read_text(path: &Path) -> Result<String, FileError> {
     let invalid = |error: std::string::FromUtf8Error| {
         FileError::read(path, std::io::Error::new(std::io::ErrorKind::InvalidData, error))
     };
-    String::from_utf8(read_file(path)?).map_err(invalid)
+    let text = String::from_utf8(read_file(path)?).map_err(invalid)?;
+    // A byte order mark, as Windows programs write it.
+    Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
 }
 
 /// In words.

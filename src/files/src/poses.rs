@@ -1,14 +1,14 @@
 //! Exterior orientations of other programs: tables of projection centres with omega, phi, kappa, and Orthority's
 //! GeoJSON.
 //!
-//! A table has a header, in any letters: the photo (`filename`, `image`, `photo`, `label`, `name`), `x`, `y`, `z`, `omega`, `phi`,
+//! A table has a header, in any letters: the photo (`filename`, `image`, `label`, as in tables of positions), `x`, `y`, `z`, `omega`, `phi`,
 //! `kappa`, with or without units (`x_m`, `omega_deg`); degrees unless the column is called `omega_rad`. Commas, semicolons,
 //! tabs or spaces separate; quotes may be single or double. `R^T = Rx(omega) Ry(phi) Rz(kappa)` takes the camera
 //! frame (y up, looking along -z) to the map. Columns with the velocity and turn of a photo during the readout of
 //! its rows, as `rowgram synth flight` writes them, are used where they are.
 
 use super::{
-    FileError,
+    FileError, columns,
     table::{Row, Table},
 };
 use rowgram_optim::geometry::rotation;
@@ -52,7 +52,7 @@ pub fn read(path: &Path) -> Result<Vec<Exterior>, FileError> {
             .map_err(|e| FileError::malformed(path, e.line(), e.to_string()))?;
         geojson(&file).map_err(|message| FileError::malformed(path, None, message))?
     } else {
-        let table = Table::with_header(path)?;
+        let table = Table::read(path)?;
         table.rows().iter().map(|of| row(&table, of)).collect::<Result<_, _>>()?
     };
     if poses.is_empty() {
@@ -76,7 +76,7 @@ fn row(table: &Table, row: &Row) -> Result<Exterior, FileError> {
         table.column(names).map(|column| table.number(row, column)).transpose()
     };
     let needed = |names: &[&str]| table.number(row, table.required("pose", names)?);
-    let name = text(&["filename", "image", "photo", "label", "name"])
+    let name = text(columns::IMAGE)
         .filter(|name| !name.is_empty())
         .ok_or_else(|| table.fault(row, "no name of a photo; expected a column filename".into()))?;
     let centre_m = [

@@ -91,7 +91,7 @@ fn unit(title: &str) -> Result<f64, &'static str> {
         "ft" | "feet" | "foot" | "us-ft" | "us ft" | "usft" | "ftus" | "us survey feet" | "ift" => {
             Err("feet: there are two that differ, so convert to metres")
         }
-        "w" | "west" | "s" | "south" => {
+        "w" | "west" | "south" => {
             Err("numbers to the west or south: make them negative and take the letter away")
         }
         _ => Ok(1.0),

@@ -1,7 +1,7 @@
 //! Where a raster lies: by the tags of the file, by a world file and a `.prj` file beside it.
 
 use super::{FOOT, METRE, SURVEY_FOOT};
-use crate::FileError;
+use crate::{FileError, table::decode};
 use geotiff_reader::GeoTiffFile;
 use rowgram_raster::{
     crs,
@@ -93,9 +93,9 @@ pub fn beside(path: &Path) -> Result<Option<Georeference>, FileError> {
 
 /// The system of a `.prj` file beside a raster.
 fn projection_beside(path: &Path) -> Result<Option<Crs>, FileError> {
-    let projection = path.with_extension("prj");
-    match std::fs::read_to_string(&projection) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+    let named = ["prj", "PRJ"].map(|ending| path.with_extension(ending));
+    let Some(projection) = named.into_iter().find(|path| path.is_file()) else { return Ok(None) };
+    match std::fs::read(&projection).map(decode) {
         Err(error) => Err(FileError::read(&projection, error)),
         Ok(text) => {
             let system = crs::Crs::of_well_known_text(&text)

@@ -256,7 +256,9 @@ impl Reader {
         macro_rules! from {
             ($($type:ty),+) => {$(
                 if <$type>::matches_layout(&self.layout) {
-                    let nodata = self.nodata.map(|value| value as $type);
+                    // A number that no sample can be, such as 256 for bytes, is no value of no data.
+                    let fits = |value: &f64| (*value as $type as f64 - value).abs() <= 1e-6 * value.abs();
+                    let nodata = self.nodata.filter(fits).map(|value| value as $type);
                     let value = |x: $type| if Some(x) == nodata { f32::NAN } else { x as f32 };
                     let read = self.window::<$type>(directory, window, true)?;
                     return Ok(read.into_iter().map(value).collect());
