@@ -242,7 +242,12 @@ fn two_values(reader: &Reader) -> Result<Mask, FileError> {
     for band in window::bands(height, BAND_ROWS, 0) {
         for value in reader.read_f32(Window::rows(width, band.rows))? {
             // What has no data is no plant.
-            let value = if value.is_nan() { 0.0 } else { value };
+            let value = match (value.is_nan(), reader.white_is_zero()) {
+                (false, false) => value,
+                (false, true) => -value,
+                (true, false) => 0.0,
+                (true, true) => f32::MIN,
+            };
             let place = values.iter().position(|&other| other == value).unwrap_or_else(|| {
                 values.push(value);
                 values.len() - 1

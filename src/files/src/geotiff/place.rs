@@ -67,7 +67,8 @@ fn world_endings(path: &Path) -> Vec<String> {
         (Some(first), Some(last)) => format!("{first}{last}w"),
         _ => String::new(),
     };
-    vec![short, format!("{ending}w"), "wld".to_owned()]
+    let usual = [short, format!("{ending}w"), "wld".to_owned()];
+    usual.iter().cloned().chain(usual.iter().map(|ending| ending.to_uppercase())).collect()
 }
 
 /// By a world file beside a picture, and a `.prj` file where there is one.

@@ -23,6 +23,8 @@ const CACHE_BYTES: usize = 1 << 27;
 
 /// `PhotometricInterpretation`: black is zero, RGB.
 const BLACK_IS_ZERO: u16 = 1;
+/// White is zero, as scanners and old programs write single values.
+const WHITE_IS_ZERO: u16 = 0;
 const RGB: u16 = 2;
 /// `GDAL_NODATA`, the value of pixels without data as text.
 const NODATA: u16 = 42_113;
@@ -136,7 +138,10 @@ impl Reader {
         let mask = picture_mask(file.tiff(), [layout.width, layout.height], 0);
         let photometric = photometric.unwrap_or(BLACK_IS_ZERO);
         let bands = match file.tiff().ifd(directory) {
-            Ok(ifd) if matches!(photometric, BLACK_IS_ZERO | RGB) => {
+            Ok(ifd)
+                if matches!(photometric, BLACK_IS_ZERO | RGB)
+                    || photometric == WHITE_IS_ZERO && layout.samples_per_pixel == 1 =>
+            {
                 let beside = [path.with_extension("aux.xml"), added(path, ".aux.xml")];
                 let beside = beside.iter().find_map(|path| std::fs::read_to_string(path).ok());
                 let samples = layout.samples_per_pixel;
@@ -169,6 +174,11 @@ impl Reader {
     /// The file.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Whether the lesser of two values is the brighter one.
+    pub fn white_is_zero(&self) -> bool {
+        self.photometric == WHITE_IS_ZERO
     }
 
     /// Number of columns.

@@ -336,3 +336,26 @@ fn world_files_and_projections_beside_a_picture_are_read() {
     std::fs::write(folder.path().join("mask.pgw"), "0.01 0 0 many 0 0").unwrap();
     assert!(beside(&path).unwrap_err().to_string().contains("mask.pgw"));
 }
+
+#[test]
+fn the_brighter_of_two_values_is_plant_where_white_is_zero_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mask.tif");
+    for (photometric, plants) in [(0u16, [0u8, 1, 1, 0]), (1, [1, 0, 0, 1])] {
+        // Width, height, bits, compression, what zero is, place of the samples, samples, rows, bytes.
+        let tags = [(256, 4), (257, 1), (258, 8), (259, 1), (262, photometric), (273, 126)];
+        let tags = tags.into_iter().chain([(277, 1), (278, 1), (279, 4)]);
+        let mut bytes = vec![b'I', b'I', 42, 0, 8, 0, 0, 0, 9, 0];
+        for (tag, value) in tags {
+            let [tag, kind, value] = [tag, 3, value].map(u16::to_le_bytes);
+            bytes.extend([tag, kind, [1, 0], [0, 0], value, [0, 0]].concat());
+        }
+        bytes.resize(126, 0);
+        bytes.extend([255, 0, 0, 255]);
+        std::fs::write(&path, bytes).unwrap();
+        let source = crate::rasters::Source::open(&path).unwrap();
+        assert!(!source.is_photo());
+        let mask = source.mask(|_| panic!("a mask of two values")).unwrap();
+        assert_eq!(mask.data, plants, "{photometric}");
+    }
+}

@@ -417,3 +417,15 @@ fn faults_are_told_before_the_place() {
     let error = read_layer(&path, drawn).unwrap_err().to_string();
     assert!(error.contains("two polygons are named \"A\""), "{error}");
 }
+
+#[test]
+fn a_datum_that_nobody_knows_moves_no_plot() {
+    // ED50 has no shift in its definition; its zones differ from each other by their meridian alone.
+    let text = PLOTS.replace("32616", "23030");
+    let onto = |code| Georeference::north_up([100.0, 200.0], 0.5, Crs::projected(code));
+    let error = parse(&text, Some(&onto(25830))).unwrap_err();
+    assert!(error.contains("datum") && error.contains("+ellps=intl"), "{error}");
+    assert!(parse(&text, Some(&onto(23030))).is_ok());
+    let error = parse(&text, Some(&onto(23029))).map(drop);
+    assert!(!error.is_err_and(|error| error.contains("datum")));
+}
