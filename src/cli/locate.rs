@@ -118,10 +118,10 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let plants = target.file()?;
     let tables = [gaps, rows, weeds, trace].map(Option::as_deref);
     let outputs = given([Some(plants)].into_iter().chain(tables));
-    check_tables(&outputs)?;
     let (options, hsv) = (options.over_defaults()?, hsv.over_defaults()?.hsv);
     let picture = figures.as_deref().map(|folder| (folder, "plants.png"));
     check_files(&outputs, picture, &[target.input()], target.force)?;
+    check_tables(&outputs)?;
     let files = LocateFiles {
         plants,
         gaps: gaps.as_deref(),

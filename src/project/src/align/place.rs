@@ -273,3 +273,35 @@ pub(super) fn check_unnamed(ground: &[GroundPoint], tags: &[Geotag]) -> Result<(
         ))),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowgram_survey::scene::{Axes, Role};
+
+    #[test]
+    fn control_in_degrees_lies_where_the_photos_are() {
+        let tag =
+            Geotag { latitude_deg: 40.47, longitude_deg: -86.99, height_m: None, sigma_m: None };
+        let check = |[lat, lon]: [f64; 2]| {
+            let point = GroundPoint {
+                name: "A".into(),
+                position_m: [lat, lon, 180.0],
+                sigma_m: [0.02; 3],
+                role: Role::Control,
+                axes: Axes::Xyz,
+            };
+            check_degrees(&[point], &[tag]).map_err(|error| error.to_string())
+        };
+        assert_eq!(check([40.471, -86.991]), Ok(()));
+        for (place, cause) in [
+            ([-86.99, 40.47], "exchanged"),
+            ([40.47, 86.99], "west of Greenwich are negative"),
+            ([-40.47, -86.99], "south of the equator"),
+            ([41.47, -86.99], "111 km from the photos; check the columns"),
+        ] {
+            let error = check(place).unwrap_err();
+            assert!(error.contains(cause), "{error}");
+        }
+    }
+}

@@ -9,11 +9,13 @@
 //! last term for what the model does not know. Where few plants of very different sizes stand among weeds, mass does not say how many
 //! there are, and each component is a plant or none (`sizes`). What no plant explains is reported: the mass of specks.
 
+mod lengths;
 mod model;
 mod sizes;
 mod split;
 
-pub use model::{LEAST, LengthModel, MOST, MassModel, Measured};
+pub use lengths::LengthModel;
+pub use model::{LEAST, MOST, MassModel, Measured};
 use rowgram_optim::robust::median;
 pub use split::split;
 

@@ -14,6 +14,7 @@
 //! boot is no evidence of a size, and specks have little mass however many they are. Lengths come in last, as they say nothing of
 //! `M`; but where masses differ more than those of plants do, `M` is the mass near by that masses and lengths together make likeliest.
 
+use super::lengths::LengthModel;
 use serde::{Deserialize, Serialize};
 
 /// Most plants that a component of the mixture holds; larger ones are counted by their mass.
@@ -39,16 +40,6 @@ const START: f64 = 6.0;
 /// Leaf of `k` plants that touch, in plants, is `k` to this power. From 0.93 to 1 the mean error of numbers on maize plots, seedling clips and
 /// maize on straw changes by 0.6 % of the number at most; each set alone would have 0.93 to 0.97.
 const COVERED: f64 = 0.95;
-/// How much longer a heavier component of as many plants is: both in logarithms. Leaves as long as broad have 0.5; singles of the three sets 0.53
-/// to 0.60.
-const LONGER: f64 = 0.55;
-/// Length `c` of one plant before the photo is seen and what that is worth in plants; the spread of lengths and what that is worth; the
-/// distance `d` of two that touch and what that is worth in pairs. On the three sets `c` is 0.28 to 0.36, `d` 1.1 to 1.35.
-const LENGTH: [(f64, f64); 3] = [(0.32, 1.0), (0.3, 8.0), (1.2, 10.0)];
-/// Spread of the lengths of specks. With 0.5 numbers of the three sets change by 0.1 % at most.
-const SPECK_LENGTH: f64 = 0.35;
-/// The least density of a length: some are like nothing. A guess, not searched for.
-const ODD_LENGTH: f64 = 1e-4;
 /// A mode this many times heavier, with this share of the highest, is that of the crop: from 3 to 4 times and 0.5 to 0.7 the same on
 /// maize plots, seedling clips, maize on straw and potatoes.
 const HEAVIER: (f64, f64) = (3.0, 0.5);
@@ -74,17 +65,6 @@ pub struct MassModel {
     pub length: Option<LengthModel>,
 }
 
-/// Lengths of components of one and more plants, in square roots of the mass of a plant.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct LengthModel {
-    /// Standard deviation of the pixels of one plant along the row.
-    pub single: f64,
-    /// Standard deviation of the logarithms of lengths.
-    pub spread: f64,
-    /// Distance of two plants that touch.
-    pub apart: f64,
-}
-
 /// What is measured of a component.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measured {
@@ -106,7 +86,7 @@ impl From<f64> for Measured {
 
 impl Measured {
     /// Logarithm of the length in square roots of a plant's mass, and that of the mass in plants.
-    fn relative(&self, plant: f64) -> Option<(f64, f64)> {
+    pub(super) fn relative(&self, plant: f64) -> Option<(f64, f64)> {
         Some((self.length? - 0.5 * plant.ln(), (self.mass / plant).ln()))
     }
 }
@@ -122,66 +102,16 @@ enum Free {
     Lengths,
 }
 
+/// Logarithm of the density of a spread that is usually so great, for each plant that this is worth.
+pub(super) fn log_prior_of_spread(sigma: f64, usual: f64) -> f64 {
+    -sigma.ln() - 0.5 * (usual / sigma).powi(2)
+}
+
 /// Frequencies of `1..=MOST` plants before the photo is seen.
 fn usual_frequencies() -> [f64; MOST] {
     let usual: [f64; MOST] = std::array::from_fn(|k| TOUCHING.0.powi(k as i32));
     let sum: f64 = usual.iter().sum();
     usual.map(|u| u / sum)
-}
-
-impl LengthModel {
-    /// What is known before the photo is seen.
-    const BEFORE: LengthModel =
-        LengthModel { single: LENGTH[0].0, spread: LENGTH[1].0, apart: LENGTH[2].0 };
-
-    /// One step of EM, given the mass of a plant and the probabilities of numbers of plants.
-    fn updated(
-        &self,
-        plant: f64,
-        measured: &[Measured],
-        posteriors: &[[f64; MOST + 1]],
-    ) -> LengthModel {
-        let [(single, single_worth), (spread, spread_worth), (apart, apart_worth)] = LENGTH;
-        // The length that it would have with the usual mass of its plants.
-        let usual_length = |of: &Measured, k: f64| {
-            of.relative(plant).map(|(length, heavier)| length - LONGER * (heavier - k.ln()))
-        };
-        let (mut singles, mut sum) = (0.0, 0.0);
-        for (c, p) in measured.iter().zip(posteriors) {
-            singles += p[1];
-            sum += p[1] * usual_length(c, 1.0).unwrap_or(self.single.ln());
-        }
-        let middle = (sum + single_worth * single.ln()) / (singles + single_worth);
-        let alone = LengthModel { single: middle.exp(), spread, apart };
-        let (mut squares, mut longer, mut pairs) = (0.0, 0.0, 0.0);
-        for (c, p) in measured.iter().zip(posteriors) {
-            squares += p[1] * (usual_length(c, 1.0).unwrap_or(middle) - middle).powi(2);
-            longer += p[2] * usual_length(c, 2.0).unwrap_or(alone.of(2.0));
-            pairs += p[2];
-        }
-        let variance = (squares + spread_worth * spread * spread) / (singles + spread_worth);
-        let pair = (longer + apart_worth * alone.of(2.0)) / (pairs + apart_worth);
-        let apart = 2.0 * ((2.0 * pair).exp() - alone.single.powi(2)).max(0.025).sqrt();
-        LengthModel { apart, spread: variance.sqrt().clamp(0.08, 0.4), ..alone }
-    }
-
-    /// Logarithm of the length of `k` plants of the usual mass.
-    fn of(&self, k: f64) -> f64 {
-        0.5 * (self.single.powi(2) + self.apart.powi(2) * (k * k - 1.0) / 12.0).ln()
-    }
-
-    /// The density of a length where a component holds 0 (a speck), 1, .., [`MOST`] plants; `heavier` is the logarithm of its mass in plants.
-    fn densities(&self, length: f64, heavier: f64) -> [f64; MOST + 1] {
-        let normal = |k: f64, sigma: f64| {
-            let mean = self.of(k) + LONGER * (heavier - k.ln());
-            ((-0.5 * ((length - mean) / sigma).powi(2)).exp() / sigma).max(ODD_LENGTH)
-        };
-        let mut p = [normal(1.0, SPECK_LENGTH); MOST + 1];
-        for (k, p) in p.iter_mut().enumerate().skip(1) {
-            *p = normal(k as f64, self.spread);
-        }
-        p
-    }
 }
 
 impl MassModel {
@@ -256,15 +186,8 @@ impl MassModel {
     fn log_posterior(&self, measured: &[Measured]) -> f64 {
         let likely = |c: &Measured| self.densities(*c).iter().sum::<f64>().max(1e-12).ln();
         let mut sum: f64 = measured.iter().map(likely).sum();
-        let spread = |sigma: f64, usual: f64| -sigma.ln() - 0.5 * (usual / sigma).powi(2);
-        sum += SPREAD.1 * spread(self.spread, SPREAD.0);
-        if let Some(length) = self.length {
-            let [(single, single_worth), (sigma, worth), (apart, apart_worth)] = LENGTH;
-            let away = |of: f64, usual: f64| -0.5 * ((of / usual).ln() / sigma).powi(2);
-            sum += worth * spread(length.spread, sigma);
-            sum += single_worth * away(length.single, single);
-            sum += apart_worth * away(length.apart, apart);
-        }
+        sum += SPREAD.1 * log_prior_of_spread(self.spread, SPREAD.0);
+        sum += self.length.map_or(0.0, |length| length.log_prior());
         let frequencies = usual_frequencies().into_iter().zip(&self.frequencies);
         sum += frequencies.map(|(usual, of)| TOUCHING.1 * usual * of.ln()).sum::<f64>();
         sum + 0.5 * (self.specks.ln() + (1.0 - self.specks).ln())
@@ -468,6 +391,7 @@ fn mode(masses: &[f64]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::phenotype::plant_mass::lengths::LONGER;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
