@@ -30,6 +30,8 @@ const MAX_SPREAD: f64 = 0.5;
 /// beans and 3 tiles of sorghum have such a spread; a likelier mass by 6 makes the number better on all three tiles, one clip and four plots and worse on one of
 /// each of these two. Chosen with them in view.
 const CLIMB: (f64, f64) = (0.1, 6.0);
+/// So many components, spread over the picture, are enough for that search.
+const MAX_CLIMBED: usize = 2000;
 /// Specks end at this share of a plant.
 const SPECK: f64 = 0.3;
 /// Ratio of the frequencies of `k + 1` and `k` plants before the photo is seen, worth some components.
@@ -153,7 +155,10 @@ impl MassModel {
 
     /// The mass of a plant that masses and lengths together make likeliest, uphill from this one; `None` where that is not much likelier.
     /// Each mass is judged with all that fits it best.
-    fn climb(&self, measured: &[Measured]) -> Option<MassModel> {
+    fn climb(&self, all: &[Measured]) -> Option<MassModel> {
+        let every = all.len().div_ceil(MAX_CLIMBED).max(1);
+        let measured: Vec<Measured> = all.iter().step_by(every).copied().collect();
+        let measured = &measured[..];
         let at = |steps: i32| {
             let mut model = MassModel::before(self.plant * (CLIMB.0 * f64::from(steps)).exp());
             model.length = Some(LengthModel::BEFORE);
@@ -170,7 +175,7 @@ impl MassModel {
             let (mut steps, mut last) = (direction, here);
             loop {
                 let (model, likely) = at(steps);
-                if likely <= last {
+                if likely.is_nan() || likely <= last {
                     break;
                 }
                 if likely > most {
@@ -179,7 +184,11 @@ impl MassModel {
                 (steps, last) = (steps + direction, likely);
             }
         }
-        best
+        let mut best = best?;
+        if every > 1 {
+            best.update(all, Free::Spread);
+        }
+        Some(best)
     }
 
     /// Logarithm of the probability of the components and of what was estimated besides the mass of a plant, up to a constant.
