@@ -171,7 +171,7 @@ pub fn is_placed(path: &Path) -> Result<bool, FileError> {
     Ok(stated != Stated::Nothing || positions.all(systems::in_degrees))
 }
 
-/// Whether two polygons share an area, looked for on a grid over what their boxes share.
+/// Whether two polygons share an area, looked for at 32 x 32 places of what their boxes share: what is narrower than that is an inexact border.
 fn overlap(a: &Polygon, b: &Polygon) -> bool {
     const PLACES: usize = 32;
     let Some((a_box, b_box)) = a.bounds().zip(b.bounds()) else { return false };

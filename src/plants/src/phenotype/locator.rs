@@ -270,7 +270,7 @@ pub fn prepare(
         let unsure_px = posterior.as_deref().map_or(0, unsure_pixels);
         let mut stand = row_model::locate_in_detail(&mask, posterior, &detection, count, options)?;
         stand.doubt(gsd_m, Some(&mask), unsure_px);
-        stand.is_told(count);
+        stand.set_told_number(count);
         perspective.into_iter().for_each(|perspective| stand.seen_in(perspective));
         Some(stand)
     } else {

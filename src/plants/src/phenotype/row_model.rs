@@ -74,7 +74,7 @@ pub fn locate(
 ) -> Result<Stand, LocateError> {
     let mut stand = locate_in_detail(mask, None, detection, count, options)?;
     stand.doubt(None, Some(mask), 0);
-    stand.is_told(count);
+    stand.set_told_number(count);
     Ok(stand)
 }
 

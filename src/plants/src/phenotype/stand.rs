@@ -138,7 +138,7 @@ pub enum Doubt {
 }
 
 impl Doubt {
-    /// Not fitted: the sets have too few stands of each kind. Without rows potatoes are counted within their interval (`potato_uav`), and
+    /// What it makes of plants and their number. Not fitted: the sets have too few stands of each kind. Without rows potatoes are counted within their interval (`potato_uav`), and
     /// what is no crop has no number at all.
     fn weight(&self) -> DoubtWeight {
         let [confidence, wider, half_width] = match self {
@@ -173,13 +173,13 @@ const WIDEST_ROWS_M: f64 = 4.0;
 /// Leaf area of a plant of a field crop, seen from above, at most, m2: a disc 3 m wide. Assumed likewise.
 const LARGEST_PLANT_M2: f64 = 7.0;
 /// Colours are unclear where so many pixels may be leaf or not ([`unsure_pixels`]), as a share of the picture, or as a multiple of what is taken for
-/// leaf. 100 maize plots, 50 seedling clips, 34 photos of young maize, potatoes and sorghum and 19 synthetic maps have 0.13 and 4.7 at most; of ten pictures of trees three have 0.18 to 0.32,
+/// leaf. 40 maize plots, 40 seedling clips, 50 photos of young maize, potatoes, sorghum and soybean and 19 synthetic maps have 0.13 and 4.7 at most; of ten pictures of trees three have 0.18 to 0.32,
 /// three others 5.5 to 18. Chosen with the trees in view.
 const UNCLEAR: (f64, f64) = (0.16, 5.0);
-/// Without rows, plants with less leaf are no larger than noise: grey noise of 20 levels has plants of 5 pixels.
-const SMALLEST_PLANT_PX: f64 = 16.0;
+/// Without rows, plants with less leaf are no larger than noise: grey noise of 20 levels (400 x 500 pixels, `rowgram locate`) has plants of 5 pixels, those of seedling clips 64 and more.
+const MIN_PLANT_PX: f64 = 16.0;
 /// Without rows, leaves that cover more of the picture have grown together: discs at random cover a third where most of them touch. Assumed.
-const COVERED: f64 = 0.5;
+const MAX_COVER: f64 = 0.5;
 
 /// How many pixels may be leaf or not: their probability, in 1/255, is between a tenth and nine tenths.
 pub(super) fn unsure_pixels(posterior: &[u8]) -> usize {
@@ -247,7 +247,7 @@ impl Stand {
     }
 
     /// Looks for what no stand of a crop is like; sizes only where a pixel is known to be `gsd_m` wide. Where there is such, plants are less
-    /// sure and their number has a wider interval. Whether leaves have closed is looked for in the mask, of which so many pixels may be leaf or not.
+    /// sure and their number has a wider interval. Whether leaves have closed is looked for in the mask; `unsure_px` of its pixels may be leaf or not ([`unsure_pixels`]).
     pub(super) fn doubt(&mut self, gsd_m: Option<f64>, mask: Option<&Mask>, unsure_px: usize) {
         let Spacing { spacing, missing, doubles, .. } = self.spacing;
         if self.spacing.is_implausible() {
@@ -280,11 +280,11 @@ impl Stand {
         }
         if self.rows.rows.is_empty() {
             self.doubts.push(Doubt::NoRows);
-            if leaf_share > COVERED {
+            if leaf_share > MAX_COVER {
                 self.doubts.push(Doubt::Closed);
             }
             let plant_px = self.leaf_mass.as_ref().map(|mass| mass.plant_px);
-            if let Some(plant_px) = plant_px.filter(|&px| px < SMALLEST_PLANT_PX) {
+            if let Some(plant_px) = plant_px.filter(|&px| px < MIN_PLANT_PX) {
                 self.doubts.push(Doubt::Specks { plant_px });
             }
         }
@@ -315,7 +315,7 @@ impl Stand {
     }
 
     /// The number of plants is known where it was told.
-    pub(super) fn is_told(&mut self, count: Option<usize>) {
+    pub(super) fn set_told_number(&mut self, count: Option<usize>) {
         if let Some(count) = count {
             self.count_interval = [count as f64; 2];
         }
