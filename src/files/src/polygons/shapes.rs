@@ -67,8 +67,10 @@ fn records(path: &Path) -> Result<Vec<(shapefile::Shape, Record)>, FileError> {
         return Err(FileError::malformed(path, None, message));
     };
     let deleted = deleted_rows(&table)?;
-    let shapes =
-        shapes(path).map_err(|error| FileError::malformed(path, None, error.to_string()))?;
+    let shapes = shapes(path).map_err(|error| {
+        let message = format!("it or its index (.shx) is cut off or damaged: {error}");
+        FileError::malformed(path, None, message)
+    })?;
     if shapes.len() != deleted.len() {
         let message = format!(
             "it has {} rows for the {} shapes of {}: save the file again",
