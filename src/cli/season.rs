@@ -24,10 +24,10 @@ use std::path::PathBuf;
 /// those of the dates before and after by what does not grow. Plots are those of the season; plants are followed from date to
 /// date; logistic or Gompertz curves are fitted to every plot.
 ///
-/// Writes into the folder season beside FILE: flights.csv, traits_long.csv, plants_long.csv, growth.csv, season.json,
+/// Writes into the folder season beside season.toml (NAME-season beside NAME.toml): flights.csv, traits_long.csv, plants_long.csv, growth.csv, season.json,
 /// report.html. A flight that is added later changes nothing of the others.
 ///
-/// Exit code 3 where a flight takes no part.
+/// Exit code 3 where a flight takes no part or has red quality checks.
 #[derive(Debug, clap::Args)]
 #[command(
     verbatim_doc_comment,
@@ -52,7 +52,7 @@ pub(super) struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A file or settings that cannot be understood, and [`Error::Incomplete`] where a flight takes no part.
+/// A file or settings that cannot be understood, and [`Error::Incomplete`] where a flight takes no part or has red checks.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let file = SeasonFile::read(&args.file)?;
     let mut terminal = Terminal::new();
@@ -64,13 +64,20 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     } else {
         print(&format!("{}\nreport  {}", summary(&outcome), page.display()))?;
     }
-    let missing: Vec<String> = outcome
+    let faults: Vec<String> = outcome
         .flights
         .iter()
-        .filter(|flight| flight.placement.is_none())
-        .map(|flight| format!("{} takes no part", flight.date))
+        .filter_map(|flight| {
+            let fault = match (&flight.placement, flight.red_checks) {
+                (None, _) => "takes no part".to_owned(),
+                (Some(_), 0) => return None,
+                (Some(_), 1) => "has 1 red check (see its report)".to_owned(),
+                (Some(_), n) => format!("has {n} red checks (see its report)"),
+            };
+            Some(format!("{} {fault}", flight.date))
+        })
         .collect();
-    if missing.is_empty() { Ok(()) } else { Err(Error::Incomplete(missing.join("\nerror: "))) }
+    if faults.is_empty() { Ok(()) } else { Err(Error::Incomplete(faults.join("\nerror: "))) }
 }
 
 fn summary(outcome: &SeasonOutcome) -> String {
@@ -95,12 +102,7 @@ fn summary(outcome: &SeasonOutcome) -> String {
             },
         };
         let plants = flight.plants.map(|plants| format!(", {plants} plants")).unwrap_or_default();
-        let red = match flight.red_checks {
-            0 => String::new(),
-            1 => ", 1 red check (see its report)".to_owned(),
-            n => format!(", {n} red checks (see its report)"),
-        };
-        text += &format!("\n  {}  day {:<5} {frame}{plants}{red}", flight.date, flight.day);
+        text += &format!("\n  {}  day {:<5} {frame}{plants}", flight.date, flight.day);
     }
     for of in &outcome.traits {
         let fitted = of.plots.iter().filter(|plot| plot.curve.is_some()).count();

@@ -91,6 +91,9 @@ fn unit(title: &str) -> Result<f64, &'static str> {
         "ft" | "feet" | "foot" | "us-ft" | "us ft" | "usft" | "ftus" | "us survey feet" | "ift" => {
             Err("feet: there are two that differ, so convert to metres")
         }
+        "yd" | "yard" | "yards" | "in" | "inch" | "inches" | "mi" | "mile" | "miles" | "nmi" => {
+            Err("a unit that is not read: convert to metres")
+        }
         "w" | "west" | "south" => {
             Err("numbers to the west or south: make them negative and take the letter away")
         }

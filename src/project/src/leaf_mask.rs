@@ -36,6 +36,31 @@ const _: () = assert!(BAND_ROWS.is_multiple_of(Estimator::ROWS));
 /// Most sweeps of iterated conditional modes; hardly a pixel changes after the third.
 pub(super) const SWEEPS: usize = 4;
 
+/// A given ground sampling distance that differs from that of the raster by this share is told.
+const GSD_TOLERANCE: f64 = 0.05;
+
+/// The ground sampling distance of a picture, metres: the given one, else its own. Says so where the two contradict each other.
+pub(super) fn gsd_m(
+    source: &Source,
+    given: Option<f64>,
+    subject: &str,
+    monitor: &mut dyn Monitor,
+) -> Option<f64> {
+    let own = source.georeference().and_then(|place| place.gsd_m());
+    if let (Some(given), Some(own)) = (given, own)
+        && (given / own - 1.0).abs() > GSD_TOLERANCE
+    {
+        let message = format!(
+            "the ground sampling distance that is given, {given} m, is used; the raster has {own:.5} m"
+        );
+        monitor.diagnostic(
+            &Diagnostic::warning("scale-contradicts", subject, message)
+                .with_remedy("take the given one away (--gsd-m, or gsd_m of the stage)"),
+        );
+    }
+    given.or(own)
+}
+
 /// A leaf mask and what is known of it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LeafMask {

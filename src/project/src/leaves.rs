@@ -177,7 +177,7 @@ pub fn measure_leaves(
         )));
     }
     let georeference = source.georeference();
-    let gsd_m = options.gsd_m.or_else(|| georeference.and_then(|place| place.gsd_m()));
+    let gsd_m = leaf_mask::gsd_m(source, options.gsd_m, subject, monitor);
     if gsd_m.is_none() {
         let message = "no ground sampling distance in metres is known; lengths are in pixels";
         monitor.diagnostic(

@@ -278,8 +278,7 @@ pub fn locate_plants(
     let mut mask = leaf.mask;
     forecast::require_map(subject.as_ref(), (mask.width, mask.height))?;
     components::remove_small(&mut mask, options.min_pixels);
-    let of_raster = || source.georeference().and_then(|place| place.gsd_m());
-    let gsd_m = options.gsd_m.or_else(of_raster);
+    let gsd_m = leaf_mask::gsd_m(source, options.gsd_m, subject, monitor);
     let place = table::Placement { georeference: source.georeference(), gsd_m };
     let prepared = locator::prepare(&mask, leaf.posterior, gsd_m, options)?;
     let rows = match &prepared.work {

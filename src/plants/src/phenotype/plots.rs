@@ -32,8 +32,8 @@ pub struct CanopyHeights {
     pub p95_m: Measured,
     /// Mean height, metres.
     pub mean_m: Measured,
-    /// Sum of height times area, cubic metres; `None` where cells have no area.
-    pub volume_m3: Option<Measured>,
+    /// Area of the cells that have a height, square metres; `None` where cells have no area.
+    pub area_m2: Option<f64>,
 }
 
 impl CanopyHeights {
@@ -41,14 +41,11 @@ impl CanopyHeights {
     pub fn of(parts: &HeightParts, cell_m: Option<f64>) -> Option<CanopyHeights> {
         let mean_m = parts.means.mean()?;
         let p95_m = parts.percentile_m(0.95)?;
-        let area = cell_m.map(|cell_m| parts.means.pixels() as f64 * cell_m * cell_m);
-        let volume =
-            |area: f64| Measured { value: mean_m.value * area, sd: mean_m.sd.map(|sd| sd * area) };
         let common_m = HEIGHT_SIGMA_CELLS * cell_m.unwrap_or(0.0);
         Some(CanopyHeights {
             p95_m: Measured { sd: p95_m.sd.map(|sd| sd.hypot(common_m)), ..p95_m },
             mean_m,
-            volume_m3: area.map(volume),
+            area_m2: cell_m.map(|cell_m| parts.means.pixels() as f64 * cell_m * cell_m),
         })
     }
 }
@@ -153,7 +150,7 @@ impl FieldIndex<'_> {
             rows.add(&mut found, area.polygon, self.rows.inside(area.polygon));
         }
         self.add_leaves(&mut found, area.polygon);
-        add_heights(&mut found, canopy);
+        add_heights(&mut found, canopy, seen.min_valid_share);
         add_colours(&mut found, colours);
         indices.iter().for_each(|index| index.add(&mut found));
         if found.valid_share.is_some_and(|share| share < seen.min_valid_share) {
@@ -351,14 +348,17 @@ fn mean_hue_deg(hues_deg: &[f64]) -> Option<(f64, Option<f64>)> {
     Some((sin.atan2(cos).to_degrees().rem_euclid(360.0), sd))
 }
 
-fn add_heights(found: &mut PlotTraits, canopy: Option<CanopyHeights>) {
+/// The volume is that of the whole area, where heights are known of `min_share` of it.
+fn add_heights(found: &mut PlotTraits, canopy: Option<CanopyHeights>, min_share: f64) {
     let Some(canopy) = canopy else { return };
     found.canopy_height_m = Some(canopy.p95_m.value);
     found.canopy_height_mean_m = Some(canopy.mean_m.value);
-    found.canopy_volume_m3 = canopy.volume_m3.map(|of| of.value);
+    let known = canopy.area_m2.zip(found.area_m2);
+    let area = known.filter(|(known, area)| *known >= min_share * area).map(|(_, area)| area);
+    found.canopy_volume_m3 = area.map(|area| area * canopy.mean_m.value);
     put(found, "canopy_height_m", canopy.p95_m.sd);
     put(found, "canopy_height_mean_m", canopy.mean_m.sd);
-    put(found, "canopy_volume_m3", canopy.volume_m3.and_then(|of| of.sd));
+    put(found, "canopy_volume_m3", area.zip(canopy.mean_m.sd).map(|(area, sd)| area * sd));
 }
 
 /// One of the indices.
@@ -459,6 +459,22 @@ mod tests {
         assert_eq!((of_b.plants, of_b.area_m2, of_b.leaves_single), (None, None, None));
         assert_eq!(of_b.canopy_cover, Some(0.4));
         assert_eq!((of_b.weeds, of_b.crop_cover), (None, None));
+    }
+
+    /// Where heights are missing in a part of a plot, its volume is not smaller for that.
+    #[test]
+    fn volume_is_that_of_the_whole_area() {
+        let volume = |known: f64| {
+            let measured = Measured { value: 0.5, sd: Some(0.1) };
+            let canopy =
+                CanopyHeights { p95_m: measured, mean_m: measured, area_m2: Some(8.0 * known) };
+            let mut found = PlotTraits { area_m2: Some(8.0), ..PlotTraits::default() };
+            add_heights(&mut found, Some(canopy), 0.5);
+            (found.canopy_volume_m3, found.more.get(&deviation_name("canopy_volume_m3")).copied())
+        };
+        assert_eq!(volume(1.0), (Some(4.0), Some(0.8)));
+        assert_eq!(volume(0.6), volume(1.0));
+        assert_eq!(volume(0.4), (None, None));
     }
 
     /// Of a plot of 10 x 10 pixels a part has no data.

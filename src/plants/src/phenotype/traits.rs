@@ -237,7 +237,7 @@ traits! {
     canopy_height_mean_m, "m", "mean height over the ground",
         "mean of the same cells, soil between plants among them", "", PARTS_SD;
     canopy_volume_m3, "m3", "volume between surface and ground",
-        "sum of the same cells times the area of a cell", "", PARTS_SD;
+        "canopy_height_mean_m times area_m2, where heights are known of [plots] min_valid_share of it", "", PARTS_SD;
     exg, "1", "excess green of the leaf pixels, 2 g - r - b",
         "of the mean colour of the leaf pixels in the orthomosaic", "Woebbecke et al. 1995, Trans. ASAE 38, 259-269", PARTS_SD;
     gli, "1", "green leaf index of the leaf pixels, (2 G - R - B) / (2 G + R + B)",

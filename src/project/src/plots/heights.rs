@@ -102,7 +102,7 @@ mod tests {
         // Means of the four columns of parts are .4 to .7: their scatter is .129, over 16 parts .033.
         assert!((0.028..0.040).contains(&inside.mean_m.sd.unwrap()), "{inside:?}");
         // 36 cells of a quarter of a square metre.
-        assert!((inside.volume_m3.unwrap().value - 0.55 * 9.0).abs() < 1e-5, "{inside:?}");
+        assert!((inside.area_m2.unwrap() - 9.0).abs() < 1e-9, "{inside:?}");
         assert!(found[1].is_none());
     }
 }

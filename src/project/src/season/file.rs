@@ -192,9 +192,11 @@ impl SeasonFile {
         output::folder_of(&self.path).to_owned()
     }
 
-    /// The folder of the results.
+    /// The folder of the results: `season` beside `season.toml`, `NAME-season` beside another `NAME.toml`, so that seasons in one folder
+    /// keep theirs apart.
     pub fn results(&self) -> PathBuf {
-        self.root().join("season")
+        let name = self.path.file_stem().and_then(|stem| stem.to_str()).unwrap_or("season");
+        self.root().join(if name == "season" { name.to_owned() } else { format!("{name}-season") })
     }
 
     /// Days from sowing, or from the first flight where nobody says when the field was sown.

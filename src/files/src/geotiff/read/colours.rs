@@ -68,8 +68,14 @@ impl Reader {
             return Ok(full);
         }
         let high = self.brightest(&self.colours()?)?;
-        let is_full_16 = u16::matches_layout(&self.layout) && high >= FULL_RANGE * FULL_16;
-        Ok(*self.full.get_or_init(|| if is_full_16 { FULL_16 } else { high }))
+        let is_whole = u16::matches_layout(&self.layout);
+        let full = match high {
+            high if is_whole && high >= FULL_RANGE * FULL_16 => FULL_16,
+            // Bytes that a program has written as floating point; reflectances are at most 1 or 100.
+            high if !is_whole && (150.0..=255.0).contains(&high) => 255.0,
+            high => high,
+        };
+        Ok(*self.full.get_or_init(|| full))
     }
 
     /// What its bands show, where that is known and they hold anything: programs write empty bands, too.

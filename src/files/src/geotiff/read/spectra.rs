@@ -7,7 +7,7 @@
 //! |---|---|---|
 //! | 8 bits | any | 255 |
 //! | 16 bits and more, whole | to 10,000; to 32,768; more | 10,000; 32,768; 65,535 |
-//! | floating point | to 2; to 150; more as whole numbers | 1; 100; as those |
+//! | floating point | to 2; to 150; to 255; more as whole numbers | 1; 100; 255; as those |
 
 use super::{BLACK_IS_ZERO, RGB, Reader};
 use rowgram_optim::output::FileError;
@@ -85,6 +85,7 @@ impl Reader {
         let full = match high {
             high if is_float && high <= 2.0 => 1.0,
             high if is_float && high <= 150.0 => 100.0,
+            high if is_float && high <= 255.0 => 255.0,
             high if high <= 10_000.0 => 10_000.0,
             high if high <= 32_768.0 => 32_768.0,
             _ => 65_535.0,
