@@ -184,7 +184,7 @@ fn short(value: f64) -> String {
 
 fn map(outcome: &SeasonOutcome) -> Markup {
     const WIDE: f64 = 720.0;
-    let corners = || outcome.outlines_m.iter().flatten();
+    let corners = || outcome.outlines_m.iter().flatten().flatten();
     let bound = |axis: usize| {
         corners()
             .map(|p| p[axis])
@@ -195,6 +195,10 @@ fn map(outcome: &SeasonOutcome) -> Markup {
     let scale = WIDE / (x1 - x0 + 2.0 * pad);
     let at =
         |p: &[f64; 2]| format!("{:.1},{:.1}", (p[0] - x0 + pad) * scale, (y1 + pad - p[1]) * scale);
+    let outline = |rings: &Vec<Vec<[f64; 2]>>| -> String {
+        let ring = |ring: &Vec<[f64; 2]>| ring.iter().map(at).collect::<Vec<_>>().join(" L");
+        rings.iter().map(|of| format!("M{}Z", ring(of))).collect()
+    };
     let tall = (y1 - y0 + 2.0 * pad) * scale;
     let with_map: Vec<_> = outcome.flights.iter().filter(|f| f.placement.is_some()).collect();
     let values = |of: &SeasonTrait| -> Vec<Vec<Option<f64>>> {
@@ -240,8 +244,8 @@ fn map(outcome: &SeasonOutcome) -> Markup {
             }
             p id="season-label" .note { "The colours need JavaScript; the values are in traits_long.csv." }
             figure { svg id="season-map" viewBox=(format!("0 0 {WIDE} {tall:.0}")) role="img" aria-label="Plots coloured by a trait" {
-                @for ring in &outcome.outlines_m {
-                    polygon points=(ring.iter().map(at).collect::<Vec<_>>().join(" ")) fill="none" stroke="var(--soft)" { title {} }
+                @for rings in &outcome.outlines_m {
+                    path d=(outline(rings)) fill="none" fill-rule="evenodd" stroke="var(--soft)" { title {} }
                 }
             } }
             script id="season-data" type="application/json" { (PreEscaped(data)) }
