@@ -249,6 +249,10 @@ impl Lock {
     /// # Errors
     /// Where another run has it, or the folder cannot be written.
     pub fn take(root: &Path, results: &Path) -> Result<Lock, Error> {
+        if results.is_file() {
+            let message = "it is a file, expected the folder of the results";
+            return Err(FileError::Unusable { path: results.to_owned(), message }.into());
+        }
         let lock = Lock::with(results, File::try_lock)?;
         Records::of(root, results).recover()?;
         Ok(lock)

@@ -167,6 +167,10 @@ fn read(
     monitor: &mut dyn Monitor,
 ) -> Result<RgbImage, FileError> {
     let picture = images::read_photo(path)?;
+    if !annotated && picture.pixels().all(|Rgb([r, g, b])| r == g && g == b) {
+        let message = "it has no colours, from which thresholds could be proposed: expected a photo in colours";
+        return Err(FileError::malformed(path, None, message));
+    }
     let turn = photo::read(path)?.orientation;
     let turn = u8::try_from(turn).ok().and_then(Orientation::from_exif);
     match turn.filter(|turn| *turn != Orientation::NoTransforms) {
