@@ -1,7 +1,7 @@
 //! The report of a season: one HTML file that needs no other, from the typed outcome; computes nothing.
 
 use super::page;
-use crate::season::{PlotSeries, SeasonFile, SeasonOutcome, SeasonTrait};
+use crate::season::{PlotSeries, SeasonFile, SeasonFlight, SeasonOutcome, SeasonTrait};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use rowgram_base::error::Error;
 use rowgram_plants::problems::growth_curve::Estimate;
@@ -96,6 +96,11 @@ fn centimetres(value_m: f64) -> String {
     format!("{:.1}", 100.0 * value_m)
 }
 
+/// Which stage of a flight failed that takes part.
+fn failure(flight: &SeasonFlight) -> Markup {
+    html! { @if let Some(why) = &flight.failure { "; a stage failed: " (why) } }
+}
+
 fn flights(outcome: &SeasonOutcome) -> Markup {
     html! {
         div .scroll { table {
@@ -108,8 +113,8 @@ fn flights(outcome: &SeasonOutcome) -> Markup {
                     td { (flight.day) }
                     @match (&flight.placement, fit) {
                         (None, _) => td .wrap { "none: " (flight.failure.as_deref().unwrap_or("no map")) },
-                        (Some(_), None) => td { "its own" },
-                        (Some(placement), Some(_)) => td { "tied to " (placement.tied_to.join(", ")) },
+                        (Some(_), None) => td .wrap { "its own" (failure(flight)) },
+                        (Some(placement), Some(_)) => td .wrap { "tied to " (placement.tied_to.join(", ")) (failure(flight)) },
                     }
                     @match fit {
                         Some(fit) => {

@@ -15,6 +15,7 @@
 mod colours;
 mod file;
 mod follow;
+mod plots;
 mod register;
 mod write;
 
@@ -36,8 +37,8 @@ use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor, Recorder},
 };
-use rowgram_files::polygons::{self, Drawn, Named, Outline};
-use rowgram_optim::output::{self, FileError};
+use rowgram_files::polygons::{self, Outline};
+use rowgram_optim::output::FileError;
 use rowgram_plants::{phenotype::traits::PlotTraits, problems::growth_curve::GrowthModel};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -230,7 +231,7 @@ pub fn season(
         flights[k].report.placement = placement;
     }
     scale_colours(file, (&with_map, &maps), &mut flights, &ties, &mut recorder)?;
-    let outlines_m = outlines(file, plot_key.as_deref(), &maps[0])?;
+    let outlines_m = plots::read(file, plot_key.as_deref(), &maps[0], &mut recorder)?;
     for (&k, map) in with_map.iter().zip(&maps) {
         let flight = &mut flights[k];
         if flight.report.placement.is_none() {
@@ -280,6 +281,7 @@ pub fn season(
     let work = record::temporary(&results)?;
     write::write(work.path(), &outcome, &days, &found)?;
     record::publish(work.path(), &results, force)?;
+    plots::withdraw(&outcome, &results)?;
     Ok(outcome)
 }
 
@@ -369,19 +371,9 @@ fn second_run(
     results: &Path,
     monitor: &mut dyn Monitor,
 ) -> Result<(), Error> {
-    if let (Some(outlines), Some(placement)) = (outlines_m, &flight.report.placement) {
-        let name = PathBuf::from("plots").join(format!("{}.geojson", map.date));
-        let work = record::temporary(results)?;
-        output::make_folder(&work.path().join("plots"))?;
-        let invert =
-            |ring: &Vec<[f64; 2]>| ring.iter().map(|&at| placement.transform.invert(at)).collect();
-        let on_map = outlines
-            .iter()
-            .map(|plot| Outline { rings: plot.rings.iter().map(invert).collect(), ..plot.clone() });
-        let on_map: Vec<Outline> = on_map.collect();
-        polygons::write(&work.path().join(&name), true, &on_map, Some(map.place.crs))?;
-        record::publish(work.path(), results, flight.force)?;
-        flight.config.project.plots = Some(from(&flight.root, &results.join(&name)));
+    if let (Some(plots), Some(placement)) = (outlines_m, &flight.report.placement) {
+        let path = plots::write(plots, map, placement, results, flight.force)?;
+        flight.config.project.plots = Some(plots::from(&flight.root, &path));
         flight.config.project.plot_key = Some(polygons::NAME.to_owned());
     }
     let outcome = run::run(&flight.project()?, &RunOptions::default(), &mut Quiet(monitor))?;
@@ -392,45 +384,6 @@ fn second_run(
         fail_stage(flight, &error, monitor);
     }
     Ok(())
-}
-
-/// The plots in the frame of the season; `None` where the season has none.
-fn outlines(
-    file: &SeasonFile,
-    key: Option<&str>,
-    map: &DateMap,
-) -> Result<Option<Vec<Outline>>, Error> {
-    let Some(path) = &file.plots else { return Ok(None) };
-    // Any map will do: it says in which system, and pixels go back to where they came from.
-    let place = map.place;
-    let drawn = Drawn { place: Some(&place), key, ..Drawn::default() };
-    let outline = |plot: Named| {
-        let ring = |ring: Vec<[f64; 2]>| ring.into_iter().map(|at| place.map(at)).collect();
-        let rename = |(name, value): (String, Value)| match name == polygons::NAME {
-            true => (format!("{name}_of_plot"), value),
-            false => (name, value),
-        };
-        Outline {
-            name: plot.name,
-            rings: plot.polygon.rings.into_iter().map(ring).collect(),
-            attributes: plot.attributes.into_iter().map(rename).collect(),
-        }
-    };
-    let named = polygons::read_layer(path, drawn)?.polygons;
-    Ok(Some(named.into_iter().map(outline).collect()))
-}
-
-/// A path as seen from a folder, where both lie in one place; absolute otherwise.
-fn from(folder: &Path, path: &Path) -> PathBuf {
-    let (Ok(folder), Ok(path)) = (folder.canonicalize(), path.canonicalize()) else {
-        return path.to_owned();
-    };
-    let shared = folder.components().zip(path.components()).take_while(|(a, b)| a == b).count();
-    if shared <= 1 {
-        return path;
-    }
-    let up = folder.components().skip(shared).map(|_| std::path::Component::ParentDir);
-    up.chain(path.components().skip(shared)).collect()
 }
 
 /// Passes progress on, and of the diagnostics of a flight none: they are in its own report.
@@ -446,20 +399,4 @@ impl Monitor for Quiet<'_> {
     }
 
     fn diagnostic(&mut self, _: &Diagnostic) {}
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn paths_are_seen_from_the_folder_of_the_flight() {
-        let folder = tempfile::tempdir().unwrap();
-        let (flight, plots) = (folder.path().join("a"), folder.path().join("season/plots"));
-        std::fs::create_dir(&flight).unwrap();
-        std::fs::create_dir_all(&plots).unwrap();
-        std::fs::write(plots.join("x.geojson"), "").unwrap();
-        let seen = from(&flight, &plots.join("x.geojson"));
-        assert_eq!(seen, PathBuf::from("../season/plots/x.geojson"));
-    }
 }

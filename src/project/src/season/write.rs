@@ -350,3 +350,37 @@ fn growth(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
         csv.flush()
     })?)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn attributes_are_columns_of_their_plots() {
+        let attribute = |name: &str, value: &str| (name.to_owned(), Value::from(value));
+        let outcome = SeasonOutcome {
+            name: String::new(),
+            from_sowing: false,
+            flights: Vec::new(),
+            plots: vec!["A".to_owned(), "B".to_owned()],
+            outlines_m: Vec::new(),
+            attributes: vec![
+                vec![attribute("genotype", "B73")],
+                vec![attribute("unit", "5"), attribute("genotype", "W22")],
+            ],
+            traits: Vec::new(),
+            emergence: Vec::new(),
+            tracks: 0,
+            steps: Vec::new(),
+            outliers: Vec::new(),
+            diagnostics: Vec::new(),
+        };
+        let columns = AttributeColumns::of(&outcome);
+        let header = columns.header(&["plot".to_owned(), "unit".to_owned()]);
+        assert_eq!(header, ["plot", "unit", "genotype", "unit_of_plot"]);
+        let values = |plot: &str| columns.values(plot).collect::<Vec<_>>();
+        assert_eq!(values("A"), ["B73", ""]);
+        assert_eq!(values("B"), ["W22", "5"]);
+        assert_eq!(values("C"), ["", ""]);
+    }
+}

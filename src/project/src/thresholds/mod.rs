@@ -232,3 +232,21 @@ fn check(input: Photos<'_>, options: &ThresholdsOptions) -> Result<(), Error> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowgram_base::monitor::Silent;
+
+    #[test]
+    fn nothing_is_proposed_of_photos_without_colours() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("grey.png");
+        let grey = RgbImage::from_fn(40, 30, |u, v| Rgb([(u * v % 251) as u8; 3]));
+        images::write_photo(&path, false, &grey).unwrap();
+        let photos = Photos { photos: &[path], masks: &[] };
+        let outcome = thresholds(photos, &ThresholdsOptions::default(), None, &mut Silent);
+        let error = outcome.unwrap_err().to_string();
+        assert!(error.contains("grey.png: it has no colours"), "{error}");
+    }
+}
