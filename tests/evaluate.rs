@@ -47,6 +47,19 @@ fn nothing_found_or_nothing_there_is_a_result() {
 }
 
 #[test]
+fn the_comparison_of_two_files_is_written() {
+    let folder = folder(&[("found.csv", FOUND), ("truth.csv", TRUTH)]);
+    let code = |output: &str| {
+        rowgram(folder.path(), &format!("evaluate found.csv truth.csv --radius-px 5 {output}")).code
+    };
+    assert_eq!([code("-o score.json"), code("-o score.json"), code("-o score.csv")], [0, 2, 2]);
+    assert_eq!(code("-o score.json --force"), 0);
+    let text = std::fs::read_to_string(folder.path().join("score.json")).unwrap();
+    assert!(text.contains("radii"), "{text}");
+    assert!(!folder.path().join("score.csv").exists());
+}
+
+#[test]
 fn bad_input_is_explained() {
     let folder = folder(&[
         ("found.csv", FOUND),

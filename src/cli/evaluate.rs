@@ -1,7 +1,12 @@
 //! `rowgram evaluate`: found plants against the truth, of a project or of two files.
 
-use super::{options::Given, print, print_json, stage::Target};
+use super::{
+    options::Given,
+    print, print_json,
+    stage::{Target, check_paths},
+};
 use rowgram_base::error::Error;
+use rowgram_optim::output;
 use rowgram_project::{
     Stage,
     evaluate::{EvaluateOptions, EvaluateOutcome, evaluate, evaluate_positions},
@@ -15,7 +20,7 @@ use std::path::PathBuf;
 ///
 /// Of a project, its plants are compared with [project] truth, in the mapping frame. Two files are CSV, read by header
 /// (u_px,v_px or x,y; other columns are allowed) or, without one, as two columns; positions in pixels, the centre of the
-/// top-left pixel at (0, 0).
+/// top-left pixel at (0, 0). With --output their comparison is also written, as JSON.
 ///
 /// Example: rowgram evaluate field
 /// Example: rowgram evaluate plants.csv truth.csv --radius-px 5,10
@@ -65,10 +70,18 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         let stage = (Stage::Evaluate, evaluate as _);
         return target.perform(stage, options, |config| &config.evaluate, text);
     };
+    let output = target.output();
+    if let Some(path) = output {
+        output::expect_ending(path, &["json"])?;
+        check_paths(&[path], &[target.input(), truth], target.force)?;
+    }
     let score =
         evaluate_positions(target.input(), truth, radius_px).map_err(|error| match error {
             Error::Argument(why) => Error::Argument(format!("--radius-px: {why}")),
             other => other,
         })?;
+    if let Some(path) = output {
+        output::write_json(path, target.force, &score)?;
+    }
     if target.json { print_json(&score) } else { print(&score.to_string()) }
 }

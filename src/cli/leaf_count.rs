@@ -85,7 +85,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         |monitor| {
             let (source, leaf) = read_leaf_mask(target.input(), hsv, monitor)?;
             let place = source.georeference();
-            let outcome = count_leaves(&leaf.mask, place, &areas, &options, &subject, monitor)?;
+            let outcome = count_leaves(&leaf, place, &areas, &options, &subject, monitor)?;
             outcome.write(output, target.force)?;
             Ok(outcome)
         },

@@ -92,7 +92,7 @@ fn text(outcome: &LocateOutcome) -> String {
         }
         let _ = write!(text, "; {} gaps", stand.gaps);
         if let Some(density) = stand.plants_per_hectare {
-            let _ = write!(text, "; {density:.0} plants per hectare");
+            let _ = write!(text, "; {density:.0} plants per hectare of row area");
         }
     }
     text

@@ -27,7 +27,7 @@ use std::path::PathBuf;
 /// Writes into the folder season beside season.toml (NAME-season beside NAME.toml): flights.csv, traits_long.csv, plants_long.csv, growth.csv, season.json,
 /// report.html. A flight that is added later changes nothing of the others.
 ///
-/// Exit code 3 where a flight takes no part or has red quality checks.
+/// Exit code 3 where a flight takes no part, or has a stage that failed or red quality checks.
 #[derive(Debug, clap::Args)]
 #[command(
     verbatim_doc_comment,
@@ -52,7 +52,8 @@ pub(super) struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A file or settings that cannot be understood, and [`Error::Incomplete`] where a flight takes no part or has red checks.
+/// A file or settings that cannot be understood, and [`Error::Incomplete`] where a flight takes no part, or has a stage that failed or red
+/// checks.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let file = SeasonFile::read(&args.file)?;
     let mut terminal = Terminal::new();
@@ -68,11 +69,12 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         .flights
         .iter()
         .filter_map(|flight| {
-            let fault = match (&flight.placement, flight.red_checks) {
-                (None, _) => "takes no part".to_owned(),
-                (Some(_), 0) => return None,
-                (Some(_), 1) => "has 1 red check (see its report)".to_owned(),
-                (Some(_), n) => format!("has {n} red checks (see its report)"),
+            let fault = match (&flight.placement, &flight.failure, flight.red_checks) {
+                (None, _, _) => "takes no part".to_owned(),
+                (Some(_), Some(why), _) => format!("has a stage that failed: {why}"),
+                (Some(_), None, 0) => return None,
+                (Some(_), None, 1) => "has 1 red check (see its report)".to_owned(),
+                (Some(_), None, n) => format!("has {n} red checks (see its report)"),
             };
             Some(format!("{} {fault}", flight.date))
         })

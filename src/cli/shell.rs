@@ -3,7 +3,7 @@
 use super::{command, print};
 use clap_complete::Shell;
 use rowgram_base::error::Error;
-use rowgram_optim::output::FileError;
+use rowgram_optim::output::{self, FileError};
 use std::path::{Path, PathBuf};
 
 /// Print the completions of a shell, or the manual page
@@ -23,6 +23,9 @@ pub(super) struct Args {
     /// With --man: write the pages of all commands into this folder: rowgram.1, rowgram-align.1 and so on.
     #[arg(short, long, value_name = "DIR", requires = "man")]
     output: Option<PathBuf>,
+    /// Replace pages that exist.
+    #[arg(long, requires = "output")]
+    force: bool,
 }
 
 impl Args {
@@ -35,7 +38,9 @@ impl Args {
         if let Some(shell) = self.shell {
             clap_complete::generate(shell, &mut command(), "rowgram", &mut text);
         } else if let Some(folder) = &self.output {
-            std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
+            output::make_folder(folder)?;
+            // All pages are written together, so that one stands for them.
+            output::check(&folder.join("rowgram.1"), self.force)?;
             return clap_mangen::generate_to(command(), folder)
                 .map_err(|e| FileError::write(folder, e).into());
         } else {

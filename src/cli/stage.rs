@@ -42,6 +42,11 @@ impl Target {
         self.input().is_dir()
     }
 
+    /// Where results go, if that is given.
+    pub(super) fn output(&self) -> Option<&Path> {
+        self.output.as_deref()
+    }
+
     /// The file to write for a single file.
     ///
     /// # Errors

@@ -180,6 +180,13 @@ fn plot_name(text: &str) -> &str {
 
 /// The rows of a table by the names of their plots.
 fn rows_of(table: &Table, plot: Column, others: &[(&str, Column)]) -> Result<FieldMap, FileError> {
+    let titles: Vec<&str> = table.columns().map(|(title, _)| title).collect();
+    let is_twice = |(k, title): &(usize, &&str)| {
+        !title.is_empty() && titles[..*k].iter().any(|other| other.eq_ignore_ascii_case(title))
+    };
+    if let Some((_, title)) = titles.iter().enumerate().find(is_twice) {
+        return Err(table.whole_fault(format!("the header names {title} twice")));
+    }
     let mut map = FieldMap {
         columns: others.iter().map(|(title, _)| (*title).to_owned()).collect(),
         plots: BTreeMap::new(),
@@ -263,6 +270,7 @@ mod tests {
         assert_eq!(map.plots["102"], [Value::Null, Value::from(1), Value::from(2)]);
         for (text, expected) in [
             ("plot,genotype\n1,a\n1,b\n", "plot 1 is there twice"),
+            ("plot,genotype,Genotype\n1,a,b\n", "names Genotype twice"),
             ("plot,name\n1,a\n", "taken for the name"),
             ("entry,genotype\n1,a\n", "no column for the plots"),
             ("plot,genotype\n", "no plots"),

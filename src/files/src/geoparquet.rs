@@ -140,7 +140,11 @@ fn about(kind: GeometryKind, geometries: &[Option<Geometry>], is_wgs84: bool) ->
         GeometryKind::LineString => "LineString",
         GeometryKind::Polygon => "Polygon",
     };
-    let mut column = serde_json::json!({"encoding": "WKB", "geometry_types": [name]});
+    let mut names = vec![name];
+    if geometries.iter().flatten().any(Geometry::is_multiple) {
+        names.push("MultiPolygon");
+    }
+    let mut column = serde_json::json!({"encoding": "WKB", "geometry_types": names});
     let points = || geometries.iter().flatten().flat_map(|geometry| geometry.points());
     if points().next().is_some() {
         let least = |axis: usize| points().map(|at| at[axis]).fold(f64::INFINITY, f64::min);

@@ -15,7 +15,7 @@
 mod sqlite;
 
 use super::FileError;
-use rowgram_raster::georeference::Crs;
+use rowgram_raster::{georeference::Crs, polygon::Polygon};
 use std::{collections::BTreeSet, path::Path};
 
 /// Whether this build reads and writes GeoPackages: the Cargo feature `geopackage`.
@@ -38,7 +38,7 @@ pub enum GeometryKind {
     Point,
     /// Lines of two points or more.
     LineString,
-    /// Areas: an outer ring and holes, each ring closed or not.
+    /// Areas: outer rings and holes, each ring closed or not.
     Polygon,
 }
 
@@ -49,7 +49,7 @@ pub enum Geometry {
     Point([f64; 2]),
     /// A line.
     LineString(Vec<[f64; 2]>),
-    /// The outer ring, then holes.
+    /// The outer ring, then holes; of several parts one after the other, which are written as a `MultiPolygon`.
     Polygon(Vec<Vec<[f64; 2]>>),
 }
 
@@ -182,6 +182,15 @@ fn check(path: &Path, layers: &[Layer]) -> Result<(), FileError> {
 }
 
 #[cfg(feature = "geopackage")]
+impl Layer {
+    /// What the standard calls its geometries; areas of one part and of several have no closer name in common.
+    fn geometry_name(&self) -> &'static str {
+        let mut all = self.features.iter().filter_map(|feature| feature.geometry.as_ref());
+        if all.any(Geometry::is_multiple) { "GEOMETRY" } else { self.kind.name() }
+    }
+}
+
+#[cfg(feature = "geopackage")]
 impl GeometryKind {
     fn name(self) -> &'static str {
         match self {
@@ -215,6 +224,22 @@ impl Geometry {
             Geometry::LineString(_) => GeometryKind::LineString,
             Geometry::Polygon(_) => GeometryKind::Polygon,
         }
+    }
+
+    /// The parts of an area, each an outer ring and its holes; nothing of others.
+    fn parts(&self) -> Vec<Vec<Vec<[f64; 2]>>> {
+        match self {
+            Geometry::Polygon(rings) => {
+                let parts = Polygon { rings: rings.clone() }.parts();
+                parts.into_iter().map(|part| part.rings).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// Whether it is an area of several parts.
+    pub(super) fn is_multiple(&self) -> bool {
+        self.parts().len() > 1
     }
 
     pub(super) fn points(&self) -> Box<dyn Iterator<Item = [f64; 2]> + '_> {
@@ -259,6 +284,13 @@ impl Geometry {
                 out.extend(2u32.to_le_bytes());
                 out.extend(count(points.len()));
                 put(&mut out, points);
+            }
+            Geometry::Polygon(_) if self.is_multiple() => {
+                let parts = self.parts();
+                out.extend(6u32.to_le_bytes());
+                out.extend(count(parts.len()));
+                let binary = |part| Geometry::Polygon(part).well_known_binary();
+                out.extend(parts.into_iter().flat_map(binary));
             }
             Geometry::Polygon(rings) => {
                 out.extend(3u32.to_le_bytes());
@@ -318,6 +350,21 @@ mod tests {
             ..lines.clone()
         };
         vec![lines, areas]
+    }
+
+    #[test]
+    fn areas_of_several_parts_are_multipolygons() {
+        let square = |x: f64| vec![[x, 0.0], [x + 9.0, 0.0], [x + 9.0, 9.0], [x, 9.0]];
+        let hole = vec![[2.0, 2.0], [4.0, 2.0], [4.0, 4.0], [2.0, 4.0]];
+        let whole = Geometry::Polygon(vec![square(0.0), hole.clone()]);
+        let parts = Geometry::Polygon(vec![square(0.0), hole, square(20.0)]);
+        // Kind and number of rings or parts.
+        let head = |of: &Geometry| [1, 5].map(|at| of.well_known_binary()[at]);
+        assert_eq!([head(&whole), head(&parts)], [[3, 2], [6, 2]]);
+        let mut layer = layers().swap_remove(1);
+        assert_eq!(layer.geometry_name(), "POLYGON");
+        layer.features[0].geometry = Some(parts);
+        assert_eq!(layer.geometry_name(), "GEOMETRY");
     }
 
     #[test]

@@ -22,7 +22,7 @@ use super::{
     output,
 };
 use rowgram_plants::phenotype::leaves::Leaf;
-use rowgram_raster::georeference::Georeference;
+use rowgram_raster::georeference::{CrsKind, Georeference};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
@@ -93,8 +93,8 @@ impl Rows<'_> {
             ]);
         }
         if let Some(place) = &self.georeference {
-            let [x, y] = place.map([u, v]);
-            row.extend([("x", rounded(x, 4)), ("y", rounded(y, 4))]);
+            let [x, y] = place.crs.kind.rounded(place.map([u, v]));
+            row.extend([("x", Some(x)), ("y", Some(y))]);
         }
         row
     }
@@ -197,10 +197,11 @@ impl Rows<'_> {
 
     /// The axis of a leaf in the mapping frame, or in pixels; two points at least, as a line has.
     fn axis(&self, index: usize) -> Vec<[f64; 2]> {
-        let rounded = |value: f64| (value * 1e4).round() / 1e4;
-        let place = |point| self.georeference.map_or(point, |place| place.map(point)).map(rounded);
+        let kind = self.georeference.map_or(CrsKind::Unknown, |place| place.crs.kind);
+        let place = |point| self.georeference.map_or(point, |place| place.map(point));
+        let axis_px = &self.leaves[index].axis_px;
         let mut points: Vec<[f64; 2]> =
-            self.leaves[index].axis_px.iter().map(|&point| place(point)).collect();
+            axis_px.iter().map(|&point| kind.rounded(place(point))).collect();
         if points.len() == 1 {
             points.push(points[0]);
         }

@@ -41,12 +41,11 @@ pub struct Placement {
 impl Placement {
     /// The places as columns, as far as they are known.
     fn columns(&self, positions_px: &[[f64; 2]]) -> Columns {
+        let kind = self.georeference.map_or(CrsKind::Unknown, |map| map.crs.kind);
         let named = |names: [&'static str; 2], place: &dyn Fn([f64; 2]) -> [f64; 2]| {
-            let places: Vec<[f64; 2]> = positions_px.iter().map(|&at| place(at)).collect();
-            // A tenth of a millimetre, also in degrees.
-            let unit = if names[0].ends_with("_deg") { 1e9 } else { 1e4 };
-            let rounded = |x: f64| (x * unit).round() / unit;
-            let axis = |axis: usize| places.iter().map(|at| rounded(at[axis])).collect();
+            let places: Vec<[f64; 2]> =
+                positions_px.iter().map(|&at| kind.rounded(place(at))).collect();
+            let axis = |axis: usize| places.iter().map(|at| at[axis]).collect();
             vec![(names[0], axis(0)), (names[1], axis(1))]
         };
         match (self.georeference, self.gsd_m) {

@@ -9,7 +9,7 @@ use super::{
     images::{self, Picture},
     memory, output,
 };
-use image::RgbImage;
+use image::{Rgb, RgbImage};
 use rowgram_base::error::Error;
 use rowgram_raster::{
     Mask,
@@ -143,6 +143,40 @@ impl Source {
             Source::File(reader) => reader.is_colour(),
             Source::Picture { picture, .. } => matches!(picture, Picture::Photo(_)),
         }
+    }
+
+    /// The same; a TIFF in colours that has just two grey values is the mask that it is, as other pictures are.
+    ///
+    /// # Errors
+    /// Where the file is damaged.
+    pub fn or_mask(self) -> Result<Source, FileError> {
+        let Source::File(reader) = &self else { return Ok(self) };
+        if !self.is_photo() || !reader.holds::<u8>() || reader.bands() > 4 {
+            return Ok(self);
+        }
+        let (width, height) = self.size();
+        let mut values: Vec<u8> = Vec::new();
+        let mut data = Vec::new();
+        for band in window::bands(height, BAND_ROWS, 0) {
+            let (photo, gaps) = self.rgb_and_gaps(band.rows)?;
+            for (k, &Rgb([r, g, b])) in photo.pixels().enumerate() {
+                let is_gap = gaps.as_ref().is_some_and(|gaps| gaps[k]);
+                let value = if is_gap { 0 } else { r };
+                if !is_gap && (r != g || g != b) || !values.contains(&value) && values.len() == 2 {
+                    return Ok(self);
+                }
+                if !values.contains(&value) {
+                    values.push(value);
+                }
+                data.push(value);
+            }
+        }
+        // One value alone may be a photo of nothing.
+        let &[first, second] = &values[..] else { return Ok(self) };
+        let plant = first.max(second);
+        data.iter_mut().for_each(|value| *value = u8::from(*value == plant));
+        let picture = Picture::Mask(Mask { width, height, data });
+        Ok(Source::Picture { picture, gaps: None, place: self.georeference() })
     }
 
     /// Rows of a photo, or of a mask in black and white.
@@ -367,4 +401,27 @@ pub fn read_mask(
     let source = Source::open(path)?;
     let mask = source.mask(|photo| thresholds.mask(photo))?;
     Ok((mask, source.georeference()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_colour_tiff_of_two_grey_values_is_a_mask() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mask.tif");
+        let open = |photo: &RgbImage| {
+            images::write_as_named(&path, true, photo).unwrap();
+            Source::open(&path).unwrap().or_mask().unwrap()
+        };
+        let mut photo = RgbImage::from_fn(9, 7, |u, _| Rgb([if u < 3 { 255 } else { 0 }; 3]));
+        let Source::Picture { picture: Picture::Mask(mask), .. } = open(&photo) else {
+            panic!("expected a mask");
+        };
+        assert_eq!((mask.count(), mask.get(2, 6), mask.get(3, 0)), (21, true, false));
+        photo.put_pixel(8, 6, Rgb([90, 100, 80]));
+        assert!(open(&photo).is_photo());
+        assert!(open(&RgbImage::from_pixel(9, 7, Rgb([255; 3]))).is_photo());
+    }
 }

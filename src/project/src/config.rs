@@ -26,7 +26,7 @@ use rowgram_base::{
     error::Error,
     options::{Field, Options, Section, nearest},
 };
-use rowgram_optim::output::FileError;
+use rowgram_optim::output::{self, FileError};
 use rowgram_raster::spectral::Band;
 use serde::{Deserialize, Serialize};
 use std::{collections::BTreeMap, fmt::Write as _, path::Path, path::PathBuf};
@@ -74,7 +74,8 @@ rowgram_base::options! {
         /// Regions in which leaves were counted by hand: polygons with a property "leaves". Where not set:
         /// regions.geojson, regions.gpkg or regions.shp.
         pub regions: Option<PathBuf> = None, example "\"regions.geojson\"";
-        /// True plants to compare with: CSV with easting_m and northing_m, or x and y, in the mapping frame.
+        /// True plants to compare with: CSV with easting_m and northing_m (or _ft), longitude_deg and latitude_deg, or x and y, in
+        /// the mapping frame.
         pub truth: Option<PathBuf> = None, example "\"truth/plants.csv\"";
     }
 }
@@ -331,11 +332,26 @@ fn from_file(path: &Path, sections: &[Section]) -> Result<Table, Error> {
     let text = match std::fs::read_to_string(path) {
         Ok(text) => text,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Table::new()),
+        Err(e) if e.kind() == std::io::ErrorKind::NotADirectory => {
+            let message = "it is a file, expected the folder of a project";
+            return Err(FileError::malformed(output::folder_of(path), None, message).into());
+        }
         Err(e) => return Err(FileError::read(path, e).into()),
     };
     let at = |span: std::ops::Range<usize>| 1 + text[..span.start].matches('\n').count();
-    let entries: Entries = toml::from_str(&text)
-        .map_err(|e| FileError::malformed(path, e.span().map(at), e.message()))?;
+    let entries: Entries = toml::from_str(&text).map_err(|e| {
+        let line = e.span().map(at);
+        // A key above all sections has no section that could take it.
+        let top: Table = text.parse().unwrap_or_default();
+        let loose = top.into_iter().find(|(_, value)| !value.is_table());
+        let message = loose.map_or_else(
+            || e.message().to_owned(),
+            |(key, _)| {
+                format!("{key}: expected a section such as [align] or [plots] above the keys")
+            },
+        );
+        FileError::malformed(path, line, message)
+    })?;
     let mut table = Table::new();
     for (name, keys) in entries {
         let refused = |why: String| FileError::malformed(path, at(name.span()), why);
@@ -405,8 +421,12 @@ fn of_variable(name: &str, sections: &[Section]) -> Result<(String, String), Err
     if let Some((_, section, key)) = known.iter().find(|(variable, ..)| variable == name) {
         return Ok((section.name.to_owned(), key.clone()));
     }
-    let names: Vec<&str> = known.iter().map(|(variable, ..)| variable.as_str()).collect();
-    let hint = nearest(name, &names).map_or_else(String::new, |n| format!("; did you mean {n}?"));
+    // All begin alike, which makes none of them likelier.
+    let own = |name: &'_ str| name.strip_prefix(PREFIX).unwrap_or_default().to_owned();
+    let names: Vec<String> = known.iter().map(|(variable, ..)| own(variable)).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let near = nearest(&own(name), &names);
+    let hint = near.map_or_else(String::new, |near| format!("; did you mean {PREFIX}{near}?"));
     Err(Error::Argument(format!("environment variable {name}: there is no such setting{hint}")))
 }
 
@@ -472,6 +492,15 @@ mod tests {
     }
 
     #[test]
+    fn a_file_is_no_project() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ortho.tif");
+        std::fs::write(&path, "").unwrap();
+        let error = Config::of_folder(&path).unwrap_err().to_string();
+        assert!(error.contains("ortho.tif: it is a file, expected the folder"), "{error}");
+    }
+
+    #[test]
     fn file_then_environment_then_arguments() {
         let file = "[align]\nseed = 2\n[ortho]\ngsd_m = 0.5\ncanopy_height_m = 0\n";
         let variables =
@@ -499,6 +528,7 @@ mod tests {
             ("[align]\nsede = 2\n", "line 2: sede: there is no such option; did you mean seed?"),
             ("[align]\nseed = \"two\"\n", "line 2: seed = \"two\": expected a whole number"),
             ("[align\n", "line 1"),
+            ("plants = 3\n", "line 1: plants: expected a section"),
             (
                 "[algin]\nseed = 2\n",
                 "line 1: [algin]: there is no such section; did you mean [align]?",
@@ -532,6 +562,8 @@ mod tests {
         }
         let error = read("", &[("ROWGRAM_ALIGN_SEEED", "2")], &[]).unwrap_err();
         assert!(error.contains("did you mean ROWGRAM_ALIGN_SEED?"), "{error}");
+        let error = read("", &[("ROWGRAM_FOO", "2")], &[]).unwrap_err();
+        assert!(!error.contains("did you mean"), "{error}");
         for (file, expected) in [
             ("[plots]\nrows_per_plot = 4\n", "[plots] alley_m is not set"),
             (

@@ -12,8 +12,8 @@ use rowgram_files::{
 use rowgram_optim::output::{self, FileError};
 use rowgram_plants::score::Score;
 use rowgram_raster::{
-    georeference::Georeference,
-    polygon::{Polygon, Positions},
+    georeference::{Crs, CrsKind, Georeference},
+    polygon::Positions,
     window::Window,
 };
 use serde::{Deserialize, Serialize};
@@ -84,7 +84,7 @@ pub struct EvaluateOutcome {
 /// Compares what was found with ground truth, and writes `score.json` and `plots.csv`.
 ///
 /// # Errors
-/// As [`stage::perform`]; an orthomosaic without a scale in metres; a damaged table.
+/// As [`stage::perform`]; an orthomosaic without a scale in metres; a damaged table; true plants none of which it shows.
 pub fn evaluate(
     project: &Project,
     options: &EvaluateOptions,
@@ -138,13 +138,21 @@ impl Task for Evaluate {
             .ok_or_else(|| FileError::malformed(&ortho, None, "its coordinates are not metres"))?;
         let shown =
             Shown { reader: Reader::open_with(&ortho, &project.reading(&ortho)).ok(), size };
-        let all = true_plants(&truth_of(project)?)?;
+        let truth = truth_of(project)?;
+        let all = true_plants(&truth, place.crs)?;
         let mut plants = Vec::new();
         for plant in &all {
-            let at = place.pixel(plant.at_m).unwrap_or([f64::NAN; 2]);
+            let at = place.pixel(plant.at).unwrap_or([f64::NAN; 2]);
             if shown.at(at)? {
                 plants.push((at, plant.leaves));
             }
+        }
+        if plants.is_empty() && !all.is_empty() {
+            let message = format!(
+                "the orthomosaic shows none of its {} plants: expected places in the system of the orthomosaic; is it of another field?",
+                all.len()
+            );
+            return Err(FileError::malformed(&truth, None, message).into());
         }
         let positions: Vec<[f64; 2]> = plants.iter().map(|(at, _)| *at).collect();
         let found = points::read(&plants_of(project)?)?;
@@ -174,7 +182,7 @@ impl Task for Evaluate {
                     leaves_by_area: counts.get(&plot.name).copied(),
                     is_counted_by_hand: by_hand
                         .iter()
-                        .any(|region| overlap(&region.polygon, &plot.polygon, size)),
+                        .any(|region| layers::overlap(&region.polygon, &plot.polygon, size)),
                     plot: plot.name,
                 }
             })
@@ -211,36 +219,43 @@ fn validation(plots: &[PlotComparison]) -> Option<LeafValidation> {
     })
 }
 
-/// Whether two polygons are of the same plants: they share more pixels than neighbours along a common side do.
-fn overlap(a: &Polygon, b: &Polygon, (width, height): (usize, usize)) -> bool {
-    const SHARE: f64 = 0.05;
-    let (a, b) = (a.runs(width, height), b.runs(width, height));
-    let pixels = |runs: &[(usize, std::ops::Range<usize>)]| -> usize {
-        runs.iter().map(|(_, run)| run.len()).sum()
-    };
-    let smaller = pixels(&a).min(pixels(&b));
-    let mut by_row: BTreeMap<usize, Vec<&std::ops::Range<usize>>> = BTreeMap::new();
-    b.iter().for_each(|(v, run)| by_row.entry(*v).or_default().push(run));
-    let shared: usize = a
-        .iter()
-        .flat_map(|(v, run)| by_row.get(v).into_iter().flatten().map(move |other| (run, other)))
-        .map(|(run, other)| run.end.min(other.end).saturating_sub(run.start.max(other.start)))
-        .sum();
-    shared as f64 > SHARE * smaller as f64
-}
-
-/// A true plant in the mapping frame.
+/// A true plant in the mapping frame, in its unit.
+#[derive(Debug)]
 struct TruePlant {
-    at_m: [f64; 2],
+    at: [f64; 2],
     leaves: Option<f64>,
 }
 
-fn true_plants(path: &Path) -> Result<Vec<TruePlant>, Error> {
+/// The true plants of a table on a map of this system.
+fn true_plants(path: &Path, crs: Crs) -> Result<Vec<TruePlant>, Error> {
     let table = CsvTable::read(path)?;
-    let places = table
-        .pairs("easting_m", "northing_m")
-        .or_else(|| table.pairs("x", "y"))
-        .ok_or_else(|| FileError::malformed(path, 1, "expected easting_m,northing_m or x,y"))?;
+    let malformed = |message: &str| FileError::malformed(path, 1, message);
+    let places = if let Some(at) = table.pairs("easting_m", "northing_m") {
+        let unit_m = crs.kind.metres_per_unit();
+        let unit_m = unit_m.ok_or_else(|| malformed("easting_m,northing_m are metres, and the orthomosaic is not in metres or feet: expected longitude_deg,latitude_deg or x,y"))?;
+        at.into_iter().map(|at| at.map(|x| x / unit_m)).collect()
+    } else if let Some(at) = table.pairs("easting_ft", "northing_ft") {
+        if !matches!(crs.kind, CrsKind::Feet | CrsKind::SurveyFeet) {
+            return Err(malformed("easting_ft,northing_ft are feet, and the orthomosaic is not in feet: expected easting_m,northing_m or longitude_deg,latitude_deg").into());
+        }
+        at
+    } else if let Some(at) = table.pairs("longitude_deg", "latitude_deg") {
+        match crs.kind {
+            CrsKind::Geographic => at,
+            _ => {
+                let system = crs.system();
+                let system = system.ok_or_else(|| malformed("longitude_deg,latitude_deg need the reference system of the orthomosaic, which does not state it: expected x,y"))?;
+                let project = |(k, [longitude, latitude]): (usize, [f64; 2])| {
+                    let at = system.from_wgs84(latitude, longitude);
+                    at.map_err(|error| FileError::malformed(path, k + 2, error.to_string()))
+                };
+                at.into_iter().enumerate().map(project).collect::<Result<_, _>>()?
+            }
+        }
+    } else {
+        let pairs = "expected easting_m,northing_m, easting_ft,northing_ft, longitude_deg,latitude_deg or x,y";
+        table.pairs("x", "y").ok_or_else(|| malformed(pairs))?
+    };
     let leaves = table.numbers("leaves");
     let check = |k: usize, number: f64, what: &str| {
         let refused = || FileError::malformed(path, k + 2, format!("{what} is not a number"));
@@ -248,8 +263,8 @@ fn true_plants(path: &Path) -> Result<Vec<TruePlant>, Error> {
     };
     let plant = |(k, at): (usize, &[f64; 2])| {
         let leaves = leaves.as_ref().map(|leaves| check(k, leaves[k], "leaves")).transpose()?;
-        let at_m = [check(k, at[0], "the easting")?, check(k, at[1], "the northing")?];
-        Ok(TruePlant { at_m, leaves })
+        let at = [check(k, at[0], "the easting")?, check(k, at[1], "the northing")?];
+        Ok(TruePlant { at, leaves })
     };
     places.iter().enumerate().map(plant).collect()
 }
@@ -327,11 +342,6 @@ pub fn evaluate_positions(found: &Path, truth: &Path, radii_px: &[f64]) -> Resul
 mod tests {
     use super::*;
 
-    fn square(left: f64, side: f64) -> Polygon {
-        let right = left + side;
-        Polygon { rings: vec![vec![[left, 0.0], [right, 0.0], [right, side], [left, side]]] }
-    }
-
     #[test]
     fn plots_counted_by_hand_do_not_validate_themselves() {
         let plot = |name: &str, counted: f64, leaves: f64, is_counted_by_hand| PlotComparison {
@@ -354,23 +364,37 @@ mod tests {
     }
 
     #[test]
-    fn a_common_side_is_no_overlap() {
-        let size = (100, 100);
-        assert!(overlap(&square(0.0, 20.0), &square(0.0, 20.0), size));
-        assert!(overlap(&square(5.0, 4.0), &square(0.0, 20.0), size), "a part of the plot");
-        assert!(!overlap(&square(0.0, 20.0), &square(20.0, 20.0), size));
-        assert!(!overlap(&square(0.0, 20.0), &square(19.5, 20.0), size), "drawn a little off");
-    }
-
-    #[test]
     fn a_damaged_truth_is_refused_with_its_line() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("truth.csv");
         std::fs::write(&path, "x,y,leaves\n1,2,3\n1,?,3\n").unwrap();
-        let error = true_plants(&path).map(|_| ()).unwrap_err().to_string();
+        let error = true_plants(&path, Crs::LOCAL).unwrap_err().to_string();
         assert!(error.contains("line 3") && error.contains("northing"), "{error}");
         std::fs::write(&path, "a,b\n1,2\n").unwrap();
-        let error = true_plants(&path).map(|_| ()).unwrap_err().to_string();
+        let error = true_plants(&path, Crs::LOCAL).unwrap_err().to_string();
         assert!(error.contains("expected easting_m,northing_m"), "{error}");
+    }
+
+    #[test]
+    fn columns_of_the_truth_have_units() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("truth.csv");
+        let read = |header: &str, crs: Crs| {
+            std::fs::write(&path, format!("{header}\n9.5,48\n")).unwrap();
+            true_plants(&path, crs).map(|all| all[0].at).map_err(|error| error.to_string())
+        };
+        let feet = Crs { kind: CrsKind::Feet, ..Crs::LOCAL };
+        let degrees = Crs::geographic(4326);
+        let at = read("easting_m,northing_m", feet).unwrap();
+        assert!((at[0] - 9.5 / 0.3048).abs() < 1e-9, "{at:?}");
+        assert_eq!(read("easting_ft,northing_ft", feet), Ok([9.5, 48.0]));
+        assert_eq!(read("longitude_deg,latitude_deg", degrees), Ok([9.5, 48.0]));
+        let utm = read("longitude_deg,latitude_deg", Crs::projected(32632)).unwrap();
+        assert!((530_000.0..540_000.0).contains(&utm[0]), "{utm:?}");
+        for (header, crs) in
+            [("easting_ft,northing_ft", Crs::LOCAL), ("easting_m,northing_m", degrees)]
+        {
+            assert!(read(header, crs).unwrap_err().contains("expected"), "{header}");
+        }
     }
 }

@@ -7,8 +7,8 @@ use rowgram_base::{
 };
 use rowgram_files::polygons::{self, Drawn, Layer, Named};
 use rowgram_optim::output::{FileError, name_of};
-use rowgram_raster::georeference::Georeference;
-use std::path::Path;
+use rowgram_raster::{georeference::Georeference, polygon::Polygon};
+use std::{collections::BTreeMap, path::Path};
 
 /// The plots of a file over a raster, and what there is to say of them.
 ///
@@ -23,6 +23,7 @@ pub(super) fn plots(
 ) -> Result<Vec<Named>, Error> {
     let layer = layer(project, path, place, Some(size))?;
     say(path, &layer.notes, monitor);
+    say_overlaps(path, &layer.polygons, size, monitor);
     Ok(layer.polygons)
 }
 
@@ -51,5 +52,98 @@ pub(super) fn say(path: &Path, notes: &[String], monitor: &mut dyn Monitor) {
             false => Diagnostic::info("polygons-named", &subject, note),
         };
         monitor.diagnostic(&found);
+    }
+}
+
+/// Pairs that a message names.
+const NAMED_PAIRS: usize = 10;
+
+/// Names plots that lie over each other.
+pub(super) fn say_overlaps(
+    path: &Path,
+    plots: &[Named],
+    size: (usize, usize),
+    monitor: &mut dyn Monitor,
+) {
+    let pairs = overlapping(plots, size);
+    if pairs.is_empty() {
+        return;
+    }
+    let message = format!(
+        "plots lie over each other, so that what is in both counts in both: {}",
+        pair_names(plots, &pairs)
+    );
+    let found = Diagnostic::warning("plots-overlapping", name_of(path), message);
+    monitor.diagnostic(&found.with_remedy("draw them beside each other, or remove the copies"));
+}
+
+/// Names of pairs of polygons, of many the first ones.
+pub(super) fn pair_names(of: &[Named], pairs: &[[usize; 2]]) -> String {
+    let name = |[a, b]: &[usize; 2]| format!("{} and {}", of[*a].name, of[*b].name);
+    let named: Vec<String> = pairs.iter().take(NAMED_PAIRS).map(name).collect();
+    let rest = pairs.len() - named.len();
+    let more = if rest > 0 { format!(", and {rest} more pairs") } else { String::new() };
+    named.join(", ") + &more
+}
+
+/// The pairs of polygons that lie over each other.
+pub(super) fn overlapping(of: &[Named], size: (usize, usize)) -> Vec<[usize; 2]> {
+    let boxes: Vec<_> = of.iter().map(|of| of.polygon.bounds()).collect();
+    let meet = |a: usize, b: usize| {
+        boxes[a].zip(boxes[b]).is_some_and(|([a_low, a_high], [b_low, b_high])| {
+            (0..2).all(|k| a_low[k] < b_high[k] && b_low[k] < a_high[k])
+        })
+    };
+    let pairs = (0..of.len()).flat_map(|a| (a + 1..of.len()).map(move |b| [a, b]));
+    pairs.filter(|&[a, b]| meet(a, b) && overlap(&of[a].polygon, &of[b].polygon, size)).collect()
+}
+
+/// Whether two polygons are of the same plants on a raster: they share more pixels than neighbours along a common side do.
+pub(super) fn overlap(a: &Polygon, b: &Polygon, (width, height): (usize, usize)) -> bool {
+    const SHARE: f64 = 0.05;
+    let (a, b) = (a.runs(width, height), b.runs(width, height));
+    let pixels = |runs: &[(usize, std::ops::Range<usize>)]| -> usize {
+        runs.iter().map(|(_, run)| run.len()).sum()
+    };
+    let smaller = pixels(&a).min(pixels(&b));
+    let mut by_row: BTreeMap<usize, Vec<&std::ops::Range<usize>>> = BTreeMap::new();
+    b.iter().for_each(|(v, run)| by_row.entry(*v).or_default().push(run));
+    let shared: usize = a
+        .iter()
+        .flat_map(|(v, run)| by_row.get(v).into_iter().flatten().map(move |other| (run, other)))
+        .map(|(run, other)| run.end.min(other.end).saturating_sub(run.start.max(other.start)))
+        .sum();
+    shared as f64 > SHARE * smaller as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square(left: f64, side: f64) -> Polygon {
+        let right = left + side;
+        Polygon { rings: vec![vec![[left, 0.0], [right, 0.0], [right, side], [left, side]]] }
+    }
+
+    #[test]
+    fn a_common_side_is_no_overlap() {
+        let size = (100, 100);
+        assert!(overlap(&square(0.0, 20.0), &square(0.0, 20.0), size));
+        assert!(overlap(&square(5.0, 4.0), &square(0.0, 20.0), size), "a part of the plot");
+        assert!(!overlap(&square(0.0, 20.0), &square(20.0, 20.0), size));
+        assert!(!overlap(&square(0.0, 20.0), &square(19.5, 20.0), size), "drawn a little off");
+    }
+
+    #[test]
+    fn plots_that_lie_over_each_other_are_named() {
+        let plot = |name: &str, left: f64| Named {
+            name: name.to_owned(),
+            polygon: square(left, 20.0),
+            leaves: None,
+            attributes: Vec::new(),
+        };
+        let plots = [plot("A", 0.0), plot("B", 20.0), plot("C", 30.0), plot("D", 0.0)];
+        let pairs = overlapping(&plots, (100, 100));
+        assert_eq!(pair_names(&plots, &pairs), "A and D, B and C");
     }
 }

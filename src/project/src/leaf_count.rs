@@ -1,7 +1,7 @@
 //! Number of leaves from the area that they cover.
 
 use super::{
-    Project, Stage, Task,
+    Project, Stage, Task, layers,
     leaf_mask::{self, LeafMask},
     stage,
 };
@@ -10,8 +10,11 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
     options::Auto,
 };
-use rowgram_files::{leaf_counts, polygons};
-use rowgram_optim::output::FileError;
+use rowgram_files::{
+    leaf_counts,
+    polygons::{self, Named},
+};
+use rowgram_optim::output::{FileError, name_of};
 use rowgram_plants::phenotype::leaf_count::{Calibration, LeafCount, Region, squares};
 use rowgram_raster::{
     Mask,
@@ -86,6 +89,7 @@ impl Task for LeafCountStage {
                 ));
             }
         }
+        files.extend(project.finished(Stage::Segment, leaf_mask::VALID));
         files.extend(project.plots().iter().flat_map(|plots| polygons::files(plots)));
         Ok(files)
     }
@@ -101,8 +105,12 @@ impl Task for LeafCountStage {
         monitor: &mut dyn Monitor,
     ) -> Result<LeafCountOutcome, Error> {
         let image = project.mask()?;
-        let (source, LeafMask { mask, .. }) =
-            leaf_mask::read_any_leaf_mask(&image, Auto::Auto, monitor)?;
+        let (source, mut leaf) = leaf_mask::read_any_leaf_mask(&image, Auto::Auto, monitor)?;
+        let is_of_mask =
+            |valid: &Mask| (valid.width, valid.height) == (leaf.mask.width, leaf.mask.height);
+        if let Some(valid) = leaf_mask::valid_of_project(project)?.filter(is_of_mask) {
+            leaf.valid = Some(valid);
+        }
         let areas = Areas {
             regions: project.regions().filter(|_| options.rho_px.is_none()),
             plots: project.plots(),
@@ -110,7 +118,7 @@ impl Task for LeafCountStage {
         };
         let subject = super::record::relative(project.root(), &image).display().to_string();
         let outcome =
-            count_leaves(&mask, source.georeference(), &areas, options, &subject, monitor)?;
+            count_leaves(&leaf, source.georeference(), &areas, options, &subject, monitor)?;
         outcome.write(&folder.join("counts.csv"), true)?;
         Ok(outcome)
     }
@@ -147,13 +155,14 @@ pub struct Areas {
 /// # Errors
 /// Files of polygons that cannot be read; no size of a leaf, given or from regions.
 pub fn count_leaves(
-    mask: &Mask,
+    leaf: &LeafMask,
     georeference: Option<Georeference>,
     areas: &Areas,
     options: &LeafCountOptions,
     subject: &str,
     monitor: &mut dyn Monitor,
 ) -> Result<LeafCountOutcome, Error> {
+    let mask = &leaf.mask;
     let is_orthorectified = georeference.is_some_and(|place| place.crs.kind != CrsKind::Unknown);
     if !is_orthorectified {
         let message = "it has no coordinate reference system and may not be orthorectified; where the scale \
@@ -163,7 +172,7 @@ pub fn count_leaves(
     let calibration = match (options.rho_px, &areas.regions) {
         (Some(rho), _) => Calibration::given(rho).map_err(Error::Argument)?,
         (None, Some(path)) => {
-            let regions = regions(path, mask, georeference.as_ref())?;
+            let regions = regions(path, leaf, georeference.as_ref(), monitor)?;
             Calibration::from_regions(&regions)
                 .map_err(|message| FileError::malformed(path, None, message))?
         }
@@ -184,7 +193,8 @@ pub fn count_leaves(
         let key = areas.plot_key.as_deref();
         let drawn = polygons::Drawn { place: georeference.as_ref(), size, key };
         let plots = polygons::read_layer(path, drawn)?;
-        crate::layers::say(path, &plots.notes, monitor);
+        layers::say(path, &plots.notes, monitor);
+        layers::say_overlaps(path, &plots.polygons, (mask.width, mask.height), monitor);
         for plot in plots.polygons {
             let name = match plot.name.as_str() {
                 WHOLE => {
@@ -200,27 +210,115 @@ pub fn count_leaves(
     Ok(LeafCountOutcome { rho_px: calibration.rho, is_orthorectified, counts })
 }
 
-/// Leaf pixels and counted leaves of the regions.
+/// A region of which the raster shows less than this is doubtful: leaves were counted in all of it.
+const WHOLE_REGION: f64 = 0.99;
+
+/// Leaf pixels and counted leaves of the regions. Names those that give a wrong size of a leaf.
 fn regions(
     path: &Path,
-    mask: &Mask,
+    leaf: &LeafMask,
     georeference: Option<&Georeference>,
+    monitor: &mut dyn Monitor,
 ) -> Result<Vec<Region>, Error> {
-    polygons::read(path, georeference)?
-        .into_iter()
-        .map(|region| {
-            let name = &region.name;
-            let leaves = region.leaves.ok_or_else(|| {
-                let message =
-                    format!("region {name} lacks the property leaves, its counted leaves");
-                FileError::malformed(path, None, message)
-            })?;
-            if region.polygon.runs(mask.width, mask.height).is_empty() {
-                let message = format!("region {name} holds no pixel of the raster");
-                return Err(FileError::malformed(path, None, message).into());
-            }
-            let pixels: u64 = squares(mask, &region.polygon, mask.width.max(1)).iter().sum();
-            Ok(Region { pixels: pixels as f64, leaves })
-        })
-        .collect()
+    let mask = &leaf.mask;
+    let size = (mask.width, mask.height);
+    let all = polygons::read(path, georeference)?;
+    let mut found = Vec::with_capacity(all.len());
+    let (mut unseen, mut bare) = (Vec::new(), Vec::new());
+    for Named { name, polygon, leaves, .. } in &all {
+        let leaves = leaves.ok_or_else(|| {
+            let message = format!("region {name} lacks the property leaves, its counted leaves");
+            FileError::malformed(path, None, message)
+        })?;
+        let runs = polygon.runs(mask.width, mask.height);
+        if runs.is_empty() {
+            let message = format!("region {name} holds no pixel of the raster");
+            return Err(FileError::malformed(path, None, message).into());
+        }
+        let shown: usize = runs
+            .iter()
+            .map(|(v, run)| match &leaf.valid {
+                Some(valid) => {
+                    valid.row(*v)[run.clone()].iter().filter(|&&shown| shown != 0).count()
+                }
+                None => run.len(),
+            })
+            .sum();
+        if (shown as f64) < WHOLE_REGION * polygon.pixels() as f64 {
+            unseen.push(name.as_str());
+        }
+        let pixels: u64 = squares(mask, polygon, mask.width.max(1)).iter().sum();
+        if leaves > 0.0 && pixels == 0 {
+            bare.push(name.as_str());
+        }
+        found.push(Region { pixels: pixels as f64, leaves });
+    }
+    let overlaps = layers::pair_names(&all, &layers::overlapping(&all, size));
+    for (what, names) in [
+        (
+            "the raster shows only a part of these regions, whose leaves were counted in whole",
+            unseen.join(", "),
+        ),
+        ("these regions have counted leaves and no leaf pixel", bare.join(", ")),
+        ("these regions lie over each other", overlaps),
+    ] {
+        if !names.is_empty() {
+            let message = format!("{what}, so the size of a leaf is wrong: {names}");
+            let found = Diagnostic::warning("regions-doubtful", name_of(path), message);
+            let remedy =
+                "draw regions whole on the raster and beside each other, or leave them out";
+            monitor.diagnostic(&found.with_remedy(remedy));
+        }
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowgram_base::monitor::Collector;
+
+    #[test]
+    fn regions_that_give_a_wrong_size_of_a_leaf_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("regions.geojson");
+        let region = |name: &str, u: f64, leaves: f64| {
+            let (right, ring) = (u + 10.0, |u: f64, v: f64| serde_json::json!([u, v]));
+            let ring =
+                [ring(u, 0.0), ring(right, 0.0), ring(right, 9.0), ring(u, 9.0), ring(u, 0.0)];
+            serde_json::json!({
+                "type": "Feature",
+                "properties": {"name": name, "leaves": leaves},
+                "geometry": {"type": "Polygon", "coordinates": [ring]},
+            })
+        };
+        let told = |regions: &[serde_json::Value]| {
+            let all = serde_json::json!({"type": "FeatureCollection", "features": regions});
+            std::fs::write(&path, all.to_string()).unwrap();
+            let leaf = LeafMask {
+                mask: Mask::from_fn(50, 10, |u, _| u < 20),
+                posterior: None,
+                valid: Some(Mask::from_fn(50, 10, |u, _| u != 25)),
+                vegetation: None,
+                hsv: None,
+            };
+            let mut collector = Collector::default();
+            super::regions(&path, &leaf, None, &mut collector).unwrap();
+            collector.diagnostics.into_iter().map(|of| of.message).collect::<Vec<_>>()
+        };
+        assert_eq!(
+            told(&[region("A", 0.0, 5.0), region("B", 10.0, 5.0), region("C", 30.0, 0.0)]),
+            [""; 0]
+        );
+        let all = told(&[
+            region("A", 0.0, 5.0),
+            region("B", 5.0, 5.0),
+            region("C", 20.0, 0.0),
+            region("D", 30.0, 3.0),
+            region("E", 45.0, 0.0),
+        ]);
+        assert!(all[0].contains("only a part") && all[0].ends_with(": C, E"), "{all:?}");
+        assert!(all[1].contains("no leaf pixel") && all[1].ends_with(": D"), "{all:?}");
+        assert!(all[2].contains("over each other") && all[2].ends_with(": A and B"), "{all:?}");
+    }
 }

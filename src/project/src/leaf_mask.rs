@@ -128,7 +128,7 @@ pub(super) fn read_any_leaf_mask(
     hsv: Auto<Thresholds>,
     monitor: &mut dyn Monitor,
 ) -> Result<(Source, LeafMask), Error> {
-    let source = Source::open(image)?;
+    let source = Source::open(image)?.or_mask()?;
     let found = if source.is_photo() {
         let options = SegmentOptions { hsv, ..SegmentOptions::default() };
         Segmenter::new(&source, image, &options, monitor)?.whole()?
@@ -166,6 +166,7 @@ pub(super) fn valid_of_project(project: &Project) -> Result<Option<Mask>, Error>
 
 /// What is to be segmented, once it is open: anything but a mask.
 pub(super) fn photo(source: Source, path: &Path) -> Result<Source, FileError> {
+    let source = source.or_mask()?;
     match &source {
         _ if source.is_photo() => Ok(source),
         Source::Picture { .. } => {

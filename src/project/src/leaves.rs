@@ -35,7 +35,7 @@ rowgram_base::options! {
     } {
         /// Ground sampling distance, metres per pixel; that of the raster where not set. Without both, lengths are in pixels
         /// only.
-        pub gsd_m: Option<f64> = None, limits between(0.00001, 100.0), example "0.015";
+        pub gsd_m: Option<f64> = None, limits GSD_M, example "0.015";
         /// The paper's method alone: all leaves are blades, greedy bridging, neither curvature nor splitting.
         pub paper: bool = false;
     }

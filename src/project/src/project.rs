@@ -43,6 +43,8 @@ pub struct Project {
     again: Vec<Stage>,
     /// Whether files in the way of results, which are not as they were written, are kept beside in place of a refusal.
     force: bool,
+    /// The day of the flight where somebody but its photos says it.
+    date: Option<String>,
 }
 
 impl Project {
@@ -67,7 +69,15 @@ impl Project {
             return Err(FileError::malformed(&root, None, message).into());
         }
         let results = root.join("rowgram");
-        Ok(Project { root, results, config, lock: None, again: Vec::new(), force: false })
+        Ok(Project {
+            root,
+            results,
+            config,
+            lock: None,
+            again: Vec::new(),
+            force: false,
+            date: None,
+        })
     }
 
     /// The same with results in another folder.
@@ -90,6 +100,18 @@ impl Project {
     pub fn forced(mut self, force: bool) -> Project {
         self.force = force;
         self
+    }
+
+    /// The same, flown on a day, `YYYY-MM-DD`, where its photos do not say when.
+    #[must_use]
+    pub fn on(mut self, date: &str) -> Project {
+        self.date = Some(date.to_owned());
+        self
+    }
+
+    /// That day.
+    pub(super) fn date(&self) -> Option<&str> {
+        self.date.as_deref()
     }
 
     /// Whether a stage is done although nothing has changed.

@@ -53,6 +53,12 @@ impl CrsKind {
             CrsKind::Geographic | CrsKind::Unknown => None,
         }
     }
+
+    /// A position as files have it: to a tenth of a millimetre, also in degrees.
+    pub fn rounded(self, at: [f64; 2]) -> [f64; 2] {
+        let unit = if self == CrsKind::Geographic { 1e9 } else { 1e4 };
+        at.map(|x| (x * unit).round() / unit)
+    }
 }
 
 /// A coordinate reference system, as far as it is known.
@@ -246,6 +252,13 @@ mod tests {
         for (a, b) in place.from_pixel(3, 4).map([1.0, 1.0]).iter().zip(place.map([4.0, 5.0])) {
             approx::assert_abs_diff_eq!(*a, b, epsilon = 1e-8);
         }
+    }
+
+    #[test]
+    fn positions_keep_a_tenth_of_a_millimetre_also_in_degrees() {
+        let at = [9.123_456_789_4, 48.2];
+        assert_eq!(CrsKind::Geographic.rounded(at), [9.123_456_789, 48.2]);
+        assert_eq!(CrsKind::Projected.rounded(at), [9.123_5, 48.2]);
     }
 
     #[test]

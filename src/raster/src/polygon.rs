@@ -85,6 +85,23 @@ impl Polygon {
         shifted.runs(width, height).iter().map(|(_, run)| run.len()).sum()
     }
 
+    /// Its parts, each an outer ring and the holes in it, where holes come after the ring that they are in.
+    pub fn parts(&self) -> Vec<Polygon> {
+        let mut parts = Vec::<Polygon>::new();
+        for ring in &self.rings {
+            // Rings may touch at corners and along sides, so most of its sides decide.
+            let next = ring.iter().cycle().skip(1);
+            let middle = |(a, b): (&[f64; 2], &[f64; 2])| [0, 1].map(|k| 0.5 * (a[k] + b[k]));
+            let middles: Vec<[f64; 2]> = ring.iter().zip(next).map(middle).collect();
+            let is_hole = |part: &&mut Polygon| 2 * part.inside(&middles).len() > middles.len();
+            match parts.iter_mut().find(is_hole) {
+                Some(part) => part.rings.push(ring.clone()),
+                None => parts.push(Polygon { rings: vec![ring.clone()] }),
+            }
+        }
+        parts
+    }
+
     /// Where two sides of a ring cross each other, as those of a bow tie do; rings that only touch themselves do not cross.
     pub fn crossing(&self) -> Option<[f64; 2]> {
         self.rings.iter().find_map(|ring| Chain { ring }.crossing_within(0..ring.len()))
@@ -265,6 +282,26 @@ mod tests {
 
     fn count(polygon: &Polygon) -> usize {
         polygon.runs(100, 100).iter().map(|(_, run)| run.len()).sum()
+    }
+
+    #[test]
+    fn parts_have_their_holes() {
+        let square = |low: f64, side: f64| {
+            let high = low + side;
+            vec![[low, 0.5 * low], [high, 0.5 * low], [high, high], [low, high]]
+        };
+        // A hole, a part in it, a hole in that, and a part that shares a side with the first.
+        let beside = vec![[90.0, 0.0], [99.0, 0.0], [99.0, 90.0], [90.0, 90.0]];
+        let rings = vec![
+            square(0.0, 90.0),
+            square(10.0, 60.0),
+            square(20.0, 40.0),
+            square(30.0, 9.0),
+            beside,
+        ];
+        let parts: Vec<usize> =
+            Polygon { rings }.parts().iter().map(|part| part.rings.len()).collect();
+        assert_eq!(parts, [2, 2, 1]);
     }
 
     #[test]

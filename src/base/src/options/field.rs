@@ -23,6 +23,8 @@ impl Limits {
     pub const NON_NEGATIVE: Limits = Limits { low: 0.0, ..Limits::NONE };
     /// A share: greater than 0, at most 1.
     pub const SHARE: Limits = Limits { high: 1.0, ..Limits::POSITIVE };
+    /// A ground sampling distance of pictures of plants, metres per pixel: from a microscope to a satellite.
+    pub const GSD_M: Limits = Limits::between(0.00001, 100.0);
     /// 1, 3, 5, ...
     pub const ODD: Limits = Limits { low: 1.0, odd: true, ..Limits::NONE };
 

@@ -116,7 +116,7 @@ fn put_layer(connection: &Connection, layer: &Layer, system: i64) -> rusqlite::R
     let table = quoted(&layer.name);
     let mut columns = vec![
         "fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL".to_owned(),
-        format!("geom {}", layer.kind.name()),
+        format!("geom {}", layer.geometry_name()),
     ];
     columns.extend(layer.columns.iter().map(|column| {
         let kind = match column.kind {
@@ -150,7 +150,7 @@ fn put_layer(connection: &Connection, layer: &Layer, system: i64) -> rusqlite::R
     )?;
     connection.execute(
         "INSERT INTO gpkg_geometry_columns VALUES (?1, 'geom', ?2, ?3, 0, 0)",
-        params![layer.name, layer.kind.name(), system],
+        params![layer.name, layer.geometry_name(), system],
     )?;
     let places: Vec<String> = (1..layer.columns.len() + 3).map(|k| format!("?{k}")).collect();
     let insert = format!("INSERT INTO {table} VALUES ({})", places.join(", "));

@@ -18,7 +18,7 @@ mod systems;
 mod write;
 
 pub use names::NAMES;
-pub use write::{Outline, projection, write};
+pub use write::{NAME, Outline, geometry, projection, write};
 
 use super::FileError;
 use rowgram_raster::{georeference::Georeference, polygon::Polygon};

@@ -429,3 +429,23 @@ fn a_datum_that_nobody_knows_moves_no_plot() {
     let error = parse(&text, Some(&onto(23029))).map(drop);
     assert!(!error.is_err_and(|error| error.contains("datum")));
 }
+
+#[test]
+fn holes_parts_and_attributes_are_written_and_read_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let square =
+        |x: f64, side: f64| vec![[x, x], [x + side, x], [x + side, x + side], [x, x + side]];
+    let plots = [write::Outline {
+        name: "A".to_owned(),
+        rings: vec![square(0.0, 90.0), square(10.0, 20.0), square(200.0, 30.0)],
+        attributes: vec![("genotype".to_owned(), "B73".into())],
+    }];
+    for ending in ENDINGS.iter().filter(|ending| **ending != "gpkg" || crate::gpkg::IS_AVAILABLE) {
+        let path = folder.path().join("plots").with_extension(ending);
+        write(&path, false, &plots, None).unwrap();
+        let found = read(&path, None).unwrap();
+        assert_eq!(found[0].polygon.rings.len(), 3, "{ending}");
+        assert_eq!(found[0].polygon.pixels(), 8100 - 400 + 900, "{ending}");
+        assert_eq!(found[0].attributes, plots[0].attributes, "{ending}");
+    }
+}

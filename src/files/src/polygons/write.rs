@@ -5,7 +5,10 @@
 
 use crate::gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer};
 use rowgram_optim::output::{self, FileError};
-use rowgram_raster::georeference::{Crs, CrsKind};
+use rowgram_raster::{
+    georeference::{Crs, CrsKind},
+    polygon as area,
+};
 use serde_json::{Map, Value, json};
 use shapefile::{
     Point, Polygon, PolygonRing, ShapeWriter,
@@ -13,7 +16,10 @@ use shapefile::{
 };
 use std::{collections::BTreeSet, io::Cursor, path::Path};
 
-/// A plot, region or panel to be written; its name is the property `plot`.
+/// The property that has the name of a plot.
+pub const NAME: &str = "plot";
+
+/// A plot, region or panel to be written; its name is the property [`NAME`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outline {
     /// Its name.
@@ -43,26 +49,30 @@ pub fn write(
     }
 }
 
-/// A tenth of a millimetre, also in degrees.
-fn rounded(at: [f64; 2], crs: Option<Crs>) -> [f64; 2] {
-    let degrees = crs.is_some_and(|crs| crs.kind == CrsKind::Geographic);
-    let unit = if degrees { 1e9 } else { 1e4 };
-    at.map(|x| (x * unit).round() / unit)
+fn closed(ring: &[[f64; 2]], crs: Option<Crs>) -> Vec<[f64; 2]> {
+    let kind = crs.map_or(CrsKind::Unknown, |crs| crs.kind);
+    ring.iter().chain(ring.first()).map(|&at| kind.rounded(at)).collect()
 }
 
-fn closed(ring: &[[f64; 2]], crs: Option<Crs>) -> Vec<[f64; 2]> {
-    ring.iter().chain(ring.first()).map(|&at| rounded(at, crs)).collect()
+/// The geometry of a plot in GeoJSON, from its closed rings: a `MultiPolygon` where it has several parts.
+pub fn geometry(rings: &[Vec<[f64; 2]>]) -> Value {
+    let parts = area::Polygon { rings: rings.to_vec() }.parts();
+    let mut parts: Vec<_> = parts.into_iter().map(|part| part.rings).collect();
+    match parts.len() {
+        1 => json!({"type": "Polygon", "coordinates": parts.swap_remove(0)}),
+        _ => json!({"type": "MultiPolygon", "coordinates": parts}),
+    }
 }
 
 fn geojson(path: &Path, force: bool, plots: &[Outline], crs: Option<Crs>) -> Result<(), FileError> {
     let feature = |plot: &Outline| {
-        let mut properties = Map::from_iter([("plot".to_owned(), plot.name.clone().into())]);
+        let mut properties = Map::from_iter([(NAME.to_owned(), plot.name.clone().into())]);
         properties.extend(plot.attributes.iter().cloned());
         let rings: Vec<_> = plot.rings.iter().map(|ring| closed(ring, crs)).collect();
         json!({
             "type": "Feature",
             "properties": properties,
-            "geometry": {"type": "Polygon", "coordinates": rings},
+            "geometry": geometry(&rings),
         })
     };
     let features: Vec<Value> = plots.iter().map(feature).collect();
@@ -172,7 +182,9 @@ fn shapes(path: &Path, force: bool, plots: &[Outline], crs: Option<Crs>) -> Resu
             let points = closed(ring, crs).into_iter().map(|[x, y]| Point::new(x, y)).collect();
             if k == 0 { PolygonRing::Outer(points) } else { PolygonRing::Inner(points) }
         };
-        let polygon = Polygon::with_rings(plot.rings.iter().enumerate().map(ring).collect());
+        let parts = area::Polygon { rings: plot.rings.clone() }.parts();
+        let rings = parts.iter().flat_map(|part| part.rings.iter().enumerate().map(ring));
+        let polygon = Polygon::with_rings(rings.collect());
         writer.write_shape_and_record(&polygon, &record).map_err(|error| failed(&error))?;
     }
     drop(writer);

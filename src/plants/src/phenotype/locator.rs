@@ -97,7 +97,7 @@ rowgram_base::options! {
         pub min_pixels: usize = 0;
         /// Ground sampling distance, metres per pixel; that of the raster where not set. Without both, lengths are in pixels
         /// only.
-        pub gsd_m: Option<f64> = None, limits POSITIVE, example "0.015";
+        pub gsd_m: Option<f64> = None, limits GSD_M, example "0.015";
         /// Seed of everything random.
         pub seed: u64 = 0;
     }

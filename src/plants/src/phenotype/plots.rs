@@ -147,13 +147,13 @@ impl FieldIndex<'_> {
         found.valid_share = (all > 0).then(|| pixels as f64 / all as f64);
         self.add_plants(&mut found, area.polygon, seen.valid);
         if let Some(rows) = &self.field.rows {
-            rows.add(&mut found, area.polygon, self.rows.inside(area.polygon));
+            rows.add(&mut found, area, &self.rows.inside(area.polygon));
         }
         self.add_leaves(&mut found, area.polygon);
         add_heights(&mut found, canopy, seen.min_valid_share);
         add_colours(&mut found, colours);
         indices.iter().for_each(|index| index.add(&mut found));
-        if found.valid_share.is_some_and(|share| share < seen.min_valid_share) {
+        if found.valid_share.is_none_or(|share| share < seen.min_valid_share) {
             found.without_totals();
         }
         (found.rounded(), pixels)
@@ -226,10 +226,7 @@ impl FieldIndex<'_> {
             // The density is that of the area that shows something, so that only its plants are in it.
             let is_seen = |k: &&usize| {
                 let at = field.plants.as_ref().and_then(|plants| plants.get(**k));
-                at.zip(valid).is_none_or(|(at, valid)| {
-                    let [u, v] = at.map(|x| x.round().max(0.0) as usize);
-                    valid.get(u, v)
-                })
+                at.is_none_or(|at| is_seen(valid, *at))
             };
             let seen = members.iter().filter(is_seen).count() as f64;
             found.plants_per_ha = area_m2.map(|area| seen / area * 1e4);
@@ -250,7 +247,7 @@ impl FieldIndex<'_> {
             let variance: f64 = gaps().map(variance).sum();
             put(found, "missing_plants", variance.is_finite().then(|| variance.max(0.0).sqrt()));
         }
-        let steps = self.steps_m(&members);
+        let steps = self.steps_m(&members, valid);
         let steps_m: Vec<f64> = steps.iter().map(|step| step.0).collect();
         let Some(longest) = steps.iter().copied().reduce(|a, b| if b.0 > a.0 { b } else { a })
         else {
@@ -305,8 +302,8 @@ impl FieldIndex<'_> {
     }
 
     /// Distances from each plant of an area to the next of its row, metres, each with its standard deviation where that of
-    /// the plants is known.
-    fn steps_m(&self, members: &[usize]) -> Vec<(f64, Option<f64>)> {
+    /// the plants is known; none across what the raster does not show, where other plants may stand.
+    fn steps_m(&self, members: &[usize], valid: Option<&Mask>) -> Vec<(f64, Option<f64>)> {
         let field = self.field;
         let (Some(plants), Some(gsd_m)) = (&field.plants, field.gsd_m) else { return Vec::new() };
         let mut rows: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
@@ -320,15 +317,35 @@ impl FieldIndex<'_> {
             let order = along_the_row(&places);
             let step = |pair: &[usize]| {
                 let [a, b] = [0, 1].map(|end| row[pair[end]]);
+                if !is_seen_between(valid, plants[a], plants[b]) {
+                    return None;
+                }
                 let sigma = |k: usize| field.along_sigma_px.get(k).filter(|x| x.is_finite());
                 let sd = sigma(a).zip(sigma(b)).map(|(a, b)| gsd_m * a.hypot(*b));
                 let apart = [0, 1].map(|axis| plants[a][axis] - plants[b][axis]);
-                (gsd_m * apart[0].hypot(apart[1]), sd)
+                Some((gsd_m * apart[0].hypot(apart[1]), sd))
             };
-            order.windows(2).map(step).collect::<Vec<_>>()
+            order.windows(2).filter_map(step).collect::<Vec<_>>()
         });
         steps.collect()
     }
+}
+
+/// Whether the raster shows something at a position.
+fn is_seen(valid: Option<&Mask>, at: [f64; 2]) -> bool {
+    valid.is_none_or(|valid| {
+        let [u, v] = at.map(|x| x.round().max(0.0) as usize);
+        u < valid.width && v < valid.height && valid.get(u, v)
+    })
+}
+
+/// Whether the raster shows something all the way from one position to another.
+fn is_seen_between(valid: Option<&Mask>, a: [f64; 2], b: [f64; 2]) -> bool {
+    let [du, dv] = [0, 1].map(|axis| b[axis] - a[axis]);
+    let steps = du.hypot(dv).ceil().max(1.0);
+    (0..=steps as usize)
+        .map(|k| k as f64 / steps)
+        .all(|share| is_seen(valid, [a[0] + share * du, a[1] + share * dv]))
 }
 
 /// The mean direction of hues on the circle, degrees from 0 to 360, and its standard deviation where there are several:
@@ -506,6 +523,32 @@ mod tests {
         assert_eq!((of.plants, of.plants_per_ha, of.leaves_single), (None, Some(5000.0), None));
         let of = traits(0.5, true);
         assert_eq!((of.plants, of.valid_share, of.area_m2), (Some(4.0), Some(1.0), Some(8.0)));
+        // Nothing is known of a sliver without a pixel.
+        let sliver = Polygon { rings: vec![vec![[2.1, 0.0], [2.3, 0.0], [2.3, 9.0], [2.1, 9.0]]] };
+        let seen = SeenField { mask: &mask, valid: None, min_valid_share: 0.5 };
+        let area = Area { name: "A", polygon: &sliver, is_field: false };
+        assert_eq!(field.index().traits(area, seen, None, None, &[]).0.plants, None);
+    }
+
+    #[test]
+    fn plants_on_both_sides_of_a_hole_are_no_neighbours() {
+        let mask = Mask::from_fn(20, 3, |_, _| true);
+        let valid = Mask::from_fn(20, 3, |u, _| !(6..9).contains(&u));
+        let field = FieldMeasurements {
+            gsd_m: Some(0.5),
+            plants: Some([1.0, 3.0, 11.0, 15.0].map(|u| [u, 1.0]).to_vec()),
+            row_of: vec![0.0; 4],
+            ..FieldMeasurements::default()
+        };
+        let polygon =
+            Polygon { rings: vec![vec![[-0.5, -0.5], [19.5, -0.5], [19.5, 2.5], [-0.5, 2.5]]] };
+        let longest_m = |valid| {
+            let seen = SeenField { mask: &mask, valid, min_valid_share: 0.5 };
+            let area = Area { name: "A", polygon: &polygon, is_field: false };
+            field.index().traits(area, seen, None, None, &[]).0.longest_gap_m
+        };
+        assert_eq!(longest_m(None), Some(4.0));
+        assert_eq!(longest_m(Some(&valid)), Some(2.0));
     }
 
     #[test]

@@ -8,13 +8,15 @@
 use super::{
     evidence::stroke_px,
     plot_scatter::{PARTS, PlotParts, jackknife},
+    plots::Area,
     rows::{Row, Rows},
     stand::BETWEEN,
     traits::{PlotTraits, put},
 };
 use rayon::prelude::*;
 use rowgram_optim::robust::median;
-use rowgram_raster::{Mask, polygon::Polygon};
+use rowgram_raster::Mask;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A row reaches this far to either side, in distances between rows: half the way to the next.
 const HALF: f64 = 0.5;
@@ -25,15 +27,27 @@ const SOLID: f64 = 0.9;
 /// plants, rows are solid, too, and 1.7 to 3.2 times as wide (six photos of sorghum, eight synthetic photos). No set was left out.
 const WIDTHS: f64 = 1.4;
 
-/// Places along the rows of a field, a pixel apart.
+/// Places along the rows of a field, a pixel apart. The line of a row goes on before its first leaf and behind its last: there plots may have
+/// gaps that reach their edge, and plots without any leaf.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct RowCover {
-    /// The places by row and along it.
+    /// The places that the raster shows, by row and along it.
     pub places_px: Vec<[f64; 2]>,
-    /// The row of each place, and whether leaf covers it.
-    pub row_and_cover: Vec<(usize, bool)>,
-    /// Shorter gaps do not count; `None` where there is no scale to tell.
-    pub min_gap_px: Option<f64>,
+    places: Vec<RowPlace>,
+    rows_px: Vec<[[f64; 2]; 2]>,
+    apart_px: f64,
+    min_gap_px: Option<f64>,
+}
+
+/// What there is to say of a place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct RowPlace {
+    row: usize,
+    /// Its number along the row.
+    along: i64,
+    is_covered: bool,
+    /// Whether it is before the first leaf of its row or behind the last.
+    is_beyond: bool,
 }
 
 /// The rows of an area: numbers of places.
@@ -53,60 +67,105 @@ fn across(
 ) -> impl Iterator<Item = bool> {
     let steps = reach_px.round().max(0.0) as i64;
     (-steps..=steps).map(move |k| {
-        let at = [u + k as f64 * du, v + k as f64 * dv].map(f64::round);
-        let is_on = at[0] >= 0.0 && at[1] >= 0.0;
-        is_on && {
-            let [u, v] = at.map(|x| x as usize);
-            u < mask.width && v < mask.height && mask.get(u, v)
-        }
+        let at = [u + k as f64 * du, v + k as f64 * dv];
+        pixel(mask, at).is_some_and(|[u, v]| mask.get(u, v))
     })
 }
 
-/// The places along a straight row, a pixel apart, and the direction across it.
-fn places([from, to]: [[f64; 2]; 2]) -> (Vec<[f64; 2]>, [f64; 2]) {
+/// The pixel of a raster at a position.
+fn pixel(mask: &Mask, at: [f64; 2]) -> Option<[usize; 2]> {
+    let at = at.map(f64::round);
+    let [u, v] = at.map(|x| x as usize);
+    (at[0] >= 0.0 && at[1] >= 0.0 && u < mask.width && v < mask.height).then_some([u, v])
+}
+
+/// Length of a straight row and the direction along it.
+fn direction([from, to]: [[f64; 2]; 2]) -> (f64, [f64; 2]) {
     let [du, dv] = [to[0] - from[0], to[1] - from[1]];
     let length = du.hypot(dv);
-    let [du, dv] = if length > 0.0 { [du / length, dv / length] } else { [1.0, 0.0] };
-    let place = |k: usize| [from[0] + k as f64 * du, from[1] + k as f64 * dv];
+    (length, if length > 0.0 { [du / length, dv / length] } else { [1.0, 0.0] })
+}
+
+/// The places along a straight row, a pixel apart, and the direction across it.
+fn places(line: [[f64; 2]; 2]) -> (Vec<[f64; 2]>, [f64; 2]) {
+    let (length, [du, dv]) = direction(line);
+    let place = |k: usize| [line[0][0] + k as f64 * du, line[0][1] + k as f64 * dv];
     ((0..=length as usize).map(place).collect(), [-dv, du])
 }
 
+/// How far a position is from the line of a row.
+fn distance_px(line: [[f64; 2]; 2], at: [f64; 2]) -> f64 {
+    let (_, [du, dv]) = direction(line);
+    ((at[1] - line[0][1]) * du - (at[0] - line[0][0]) * dv).abs()
+}
+
 impl RowCover {
-    /// Follows straight rows from their first leaf to their last in a mask, where `valid` shows something; nothing of a single row,
-    /// whose width is not known.
+    /// Follows the lines of straight rows over a mask, where `valid` shows something; nothing of a single row, whose width is not known.
     pub fn new(
         mask: &Mask,
         valid: Option<&Mask>,
         rows_px: &[[[f64; 2]; 2]],
         min_gap_px: Option<f64>,
     ) -> Option<RowCover> {
-        let reach_px = BETWEEN * apart_px(rows_px)?;
+        let apart_px = apart_px(rows_px)?;
         let of_row = |(row, &line): (usize, &[[f64; 2]; 2])| {
-            let (places, normal) = places(line);
-            let is_seen = |at: &[f64; 2]| {
-                valid.is_none_or(|valid| across(valid, *at, normal, 0.0).any(|is_seen| is_seen))
+            let (length, [du, dv]) = direction(line);
+            let normal = [-dv, du];
+            let last = length as i64;
+            let at = |k: i64| [line[0][0] + k as f64 * du, line[0][1] + k as f64 * dv];
+            let is_on = |k: &i64| pixel(mask, at(*k)).is_some();
+            let before = (1..).map(|k| -k).take_while(is_on).count() as i64;
+            let behind = (last + 1..).take_while(is_on).count() as i64;
+            let is_seen = |k: &i64| {
+                valid.is_none_or(|valid| across(valid, at(*k), normal, 0.0).any(|is_seen| is_seen))
             };
-            let seen = places.into_iter().filter(is_seen);
-            let covered = |at: [f64; 2]| {
-                (at, (row, across(mask, at, normal, reach_px).any(|is_leaf| is_leaf)))
+            let place = |along: i64| {
+                let is_covered =
+                    across(mask, at(along), normal, BETWEEN * apart_px).any(|is_leaf| is_leaf);
+                let is_beyond = !(0..=last).contains(&along);
+                (at(along), RowPlace { row, along, is_covered, is_beyond })
             };
-            seen.map(covered).collect::<Vec<_>>()
+            (-before..=last + behind).filter(is_seen).map(place).collect::<Vec<_>>()
         };
         let all: Vec<_> = rows_px.par_iter().enumerate().map(of_row).collect::<Vec<_>>().concat();
-        let (places_px, row_and_cover) = all.into_iter().unzip();
-        Some(RowCover { places_px, row_and_cover, min_gap_px })
+        let (places_px, places) = all.into_iter().unzip();
+        Some(RowCover { places_px, places, rows_px: rows_px.to_vec(), apart_px, min_gap_px })
+    }
+
+    /// The places of an area. The line of a row goes on beyond its leaf to the edge of a plot, but not where it meets the rows of
+    /// another part of the field; a whole field ends with its rows.
+    fn within(&self, area: Area<'_>, members: &[usize]) -> Vec<usize> {
+        let mut own = BTreeMap::new();
+        for &k in members.iter().filter(|&&k| !self.places[k].is_beyond) {
+            own.entry(self.places[k].row).or_insert(self.places_px[k]);
+        }
+        let goes_on = |row: usize| {
+            let is_near =
+                |at: &[f64; 2]| distance_px(self.rows_px[row], *at) < HALF * self.apart_px;
+            own.contains_key(&row) || !own.values().any(is_near)
+        };
+        let rows: BTreeSet<usize> =
+            members.iter().map(|&k| self.places[k].row).filter(|&row| goes_on(row)).collect();
+        let is_of_area = |k: &usize| {
+            let place = &self.places[*k];
+            !place.is_beyond || !area.is_field && rows.contains(&place.row)
+        };
+        members.iter().copied().filter(is_of_area).collect()
     }
 
     /// Adds what the rows in an area tell; `members` are the places in it.
-    pub(super) fn add(&self, found: &mut PlotTraits, polygon: &Polygon, mut members: Vec<usize>) {
+    pub(super) fn add(&self, found: &mut PlotTraits, area: Area<'_>, members: &[usize]) {
+        let mut members = self.within(area, members);
         members.sort_unstable();
-        let parts = PlotParts::of(polygon);
+        let parts = PlotParts::of(area.polygon);
         let mut counts = [Counts::default(); PARTS];
-        // A stretch along a row that is covered or not.
-        let together =
-            |a: &usize, b: &usize| *b == a + 1 && self.row_and_cover[*a] == self.row_and_cover[*b];
+        // A stretch along a row that is covered or not; nobody knows what is where the raster shows nothing.
+        let together = |a: &usize, b: &usize| {
+            let [a, b] = [a, b].map(|k| &self.places[*k]);
+            (a.row, a.along + 1, a.is_covered) == (b.row, b.along, b.is_covered)
+        };
         for stretch in members.chunk_by(together) {
-            let is_covered = self.row_and_cover[stretch[0]].1;
+            let is_covered = self.places[stretch[0]].is_covered;
             let is_long = self.min_gap_px.is_some_and(|least| stretch.len() as f64 >= least);
             for &place in stretch {
                 let count = &mut counts[parts.at(self.places_px[place])];
@@ -139,9 +198,7 @@ impl RowCover {
 fn apart_px(rows_px: &[[[f64; 2]; 2]]) -> Option<f64> {
     let distance = |pair: &[[[f64; 2]; 2]]| {
         let [a, b] = [pair[0], pair[1]];
-        let (_, normal) = places(a);
-        let middle = [0, 1].map(|axis| 0.5 * (b[0][axis] + b[1][axis]));
-        ((middle[0] - a[0][0]) * normal[0] + (middle[1] - a[0][1]) * normal[1]).abs()
+        distance_px(a, [0, 1].map(|axis| 0.5 * (b[0][axis] + b[1][axis])))
     };
     median(rows_px.windows(2).map(distance).filter(|&apart| apart > 1.0))
 }
@@ -180,6 +237,7 @@ pub(super) fn is_closed(mask: &Mask, rows: &Rows) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rowgram_raster::polygon::{Polygon, Positions};
 
     /// Three rows 20 px apart, 8 px wide, with a gap of 30 px in the middle one.
     fn mask() -> Mask {
@@ -193,10 +251,13 @@ mod tests {
     }
 
     fn traits(min_gap_px: f64, polygon: &Polygon) -> PlotTraits {
-        let cover = RowCover::new(&mask(), None, &rows(), Some(min_gap_px)).unwrap();
-        let positions = rowgram_raster::polygon::Positions::new(cover.places_px.iter().copied());
+        traits_of(&RowCover::new(&mask(), None, &rows(), Some(min_gap_px)).unwrap(), polygon, false)
+    }
+
+    fn traits_of(cover: &RowCover, polygon: &Polygon, is_field: bool) -> PlotTraits {
+        let positions = Positions::new(cover.places_px.iter().copied());
         let mut found = PlotTraits::default();
-        cover.add(&mut found, polygon, positions.inside(polygon));
+        cover.add(&mut found, Area { name: "", polygon, is_field }, &positions.inside(polygon));
         found
     }
 
@@ -219,6 +280,44 @@ mod tests {
         assert_eq!((found.row_cover, found.row_gap_share), (Some(0.5), Some(0.5)));
         let found = traits(10.0, &rectangle([300.0, 0.0], [310.0, 10.0]));
         assert_eq!((found.row_cover, found.row_gap_share), (None, None));
+    }
+
+    #[test]
+    fn gaps_at_the_ends_of_rows_and_dead_plots_are_seen() {
+        // Leaf ends at 100 px; plots go on to 140 px, the next ones are dead.
+        let mask = Mask::from_fn(200, 60, |u, v| u < 100 && v % 20 >= 6 && v % 20 < 14);
+        let to = |end: f64| rows().into_iter().map(move |[from, to]| [from, [end, to[1]]]);
+        let cover = |valid: Option<&Mask>, rows: &[[[f64; 2]; 2]]| {
+            RowCover::new(&mask, valid, rows, Some(20.0)).unwrap()
+        };
+        let of = |cover: &RowCover, from: f64, to: f64, is_field: bool| {
+            let found = traits_of(cover, &rectangle([from, -0.5], [to, 59.5]), is_field);
+            (found.row_cover, found.row_gap_share)
+        };
+        let ending = cover(None, &to(99.0).collect::<Vec<_>>());
+        assert_eq!(of(&ending, 39.5, 139.5, false), (Some(0.6), Some(0.4)));
+        assert_eq!(of(&ending, 139.5, 199.5, false), (Some(0.0), Some(1.0)));
+        assert_eq!(of(&ending, 39.5, 139.5, true), (Some(1.0), Some(0.0)));
+        // Rows of the next block, half a distance beside, are not those of this one.
+        let other = rows().into_iter().map(|[[_, v], _]| [[150.0, v + 9.0], [199.0, v + 9.0]]);
+        let both = cover(None, &to(99.0).chain(other).collect::<Vec<_>>());
+        assert_eq!(
+            both.within(area(&rectangle([150.0, 0.0], [199.0, 59.5])), &all(&both)).len(),
+            150
+        );
+        // Of 40 px without leaf the raster shows 15 at either end: too short for gaps.
+        let hole = Mask::from_fn(200, 60, |u, _| !(115..125).contains(&u));
+        let holed = cover(Some(&hole), &to(99.0).collect::<Vec<_>>());
+        assert_eq!(of(&holed, 39.5, 139.5, false), (Some(60.0 / 90.0), Some(0.0)));
+    }
+
+    fn area(polygon: &Polygon) -> Area<'_> {
+        Area { name: "", polygon, is_field: false }
+    }
+
+    /// The places in the last quarter of the raster.
+    fn all(cover: &RowCover) -> Vec<usize> {
+        (0..cover.places_px.len()).filter(|&k| cover.places_px[k][0] >= 150.0).collect()
     }
 
     #[test]

@@ -289,6 +289,8 @@ mod tests {
             panic!("{:?}", doubts_at(4.1 / apart_px));
         };
         assert!((rows_m - 4.1).abs() < 1e-9, "{rows_m}");
+        assert!(matches!(doubts_at(0.04 / apart_px)[..], [Doubt::Tight { .. }]));
+        assert!(matches!(doubts_at(0.009 / spacing_px)[..], [Doubt::Tight { .. }]));
         let mut stand = sure.clone();
         stand.rows.rows.clear();
         stand.doubt(None, None, 0);

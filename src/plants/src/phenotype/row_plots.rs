@@ -1,6 +1,7 @@
 //! Rows of plants and plots: plots that rows define where nobody drew any, and plots without their outer rows.
 
 use super::principal_axis::{main_axis_rad, middle};
+use rowgram_optim::robust::median;
 use rowgram_raster::{clip, polygon::Polygon};
 use std::collections::BTreeMap;
 
@@ -38,8 +39,11 @@ pub fn row_direction(plants: &[[f64; 2]], rows: &[f64]) -> Option<[f64; 2]> {
     (!of_row.is_empty()).then_some([cos, sin])
 }
 
+/// A row in a plot has at least this share of the plants of its middle row; what has fewer is the end of a row of the neighbour.
+const LEAST_OF_ROW: f64 = 1.0 / 3.0;
+
 /// A plot without its outer rows of plants, so many on either side: cut in the middle between the last row that is left out
-/// and the first that stays. `members` are its plants; `None` where no row would be left.
+/// and the first that stays. Rows of which it has only a corner are none of its own. `members` are its plants; `None` where no row would be left.
 pub fn without_border_rows(
     polygon: &Polygon,
     members: &[([f64; 2], f64)],
@@ -52,7 +56,9 @@ pub fn without_border_rows(
         let of = rows.entry(*row as u64).or_default();
         *of = (of.0 + across[0] * at[0] + across[1] * at[1], of.1 + 1.0);
     }
-    let mut middles: Vec<f64> = rows.values().map(|(sum, n)| sum / n).collect();
+    let usual = median(rows.values().map(|(_, n)| *n)).unwrap_or(0.0);
+    let own = rows.values().filter(|(_, n)| *n >= LEAST_OF_ROW * usual);
+    let mut middles: Vec<f64> = own.map(|(sum, n)| sum / n).collect();
     middles.sort_by(f64::total_cmp);
     let last = middles.len().checked_sub(border_rows + 1)?;
     if border_rows == 0 || last < border_rows {
@@ -163,6 +169,10 @@ mod tests {
         let inner = without_border_rows(&plot, &plants, [1.0, 0.0], 1).unwrap();
         assert_eq!(inner.bounds().unwrap(), [[-0.5, 10.0], [99.5, 50.0]]);
         assert_eq!(without_border_rows(&plot, &plants, [1.0, 0.0], 2), None);
+        // The end of the neighbour's row in a corner is no row of the plot.
+        let corner = (0..3).map(|k| ([10.0 * f64::from(k), 69.0], 4.0));
+        let with_corner: Vec<_> = plants.iter().copied().chain(corner).collect();
+        assert_eq!(without_border_rows(&plot, &with_corner, [1.0, 0.0], 1), Some(inner));
         assert_eq!(without_border_rows(&plot, &plants, [1.0, 0.0], 0), Some(plot));
     }
 }

@@ -130,6 +130,13 @@ pub enum Doubt {
         /// The distance between rows, where there are several.
         rows_m: Option<f64>,
     },
+    /// Plants of a row, or rows, are nearer to each other than those of a field crop.
+    Tight {
+        /// The distance between plants.
+        spacing_m: f64,
+        /// The distance between rows, where there are several.
+        rows_m: Option<f64>,
+    },
     /// Plants have more leaf than those of a field crop.
     Large {
         /// Leaf area of a plant, seen from above.
@@ -170,6 +177,11 @@ struct DoubtWeight {
 const WIDEST_SPACING_M: f64 = 3.0;
 /// Rows of a field crop are nearer to each other than this, metres: bananas and pumpkins need 2 to 3.5. Assumed likewise.
 const WIDEST_ROWS_M: f64 = 4.0;
+/// Plants of a field crop stand farther apart than this within their row, metres: cereals drilled with 400 grains a square metre at 0.12 m between
+/// rows have 0.02. Assumed likewise.
+const NEAREST_SPACING_M: f64 = 0.01;
+/// Rows of a field crop are farther apart than this, metres: drilled cereals have 0.1 to 0.15. Assumed likewise.
+const NEAREST_ROWS_M: f64 = 0.05;
 /// Leaf area of a plant of a field crop, seen from above, at most, m2: a disc 3 m wide. Assumed likewise.
 const LARGEST_PLANT_M2: f64 = 7.0;
 /// Colours are unclear where so many pixels may be leaf or not ([`unsure_pixels`]), as a share of the picture, or as a multiple of what is taken for
@@ -292,8 +304,12 @@ impl Stand {
             let spacing_m = gsd_m * spacing;
             let rows_m = self.rows.spacing_px.map(|px| gsd_m * px);
             let are_wide = rows_m.is_some_and(|rows_m| rows_m > WIDEST_ROWS_M);
+            let are_tight = rows_m.is_some_and(|rows_m| rows_m < NEAREST_ROWS_M);
             if (spacing_m > WIDEST_SPACING_M || are_wide) && !self.rows.rows.is_empty() {
                 self.doubts.push(Doubt::Wide { spacing_m, rows_m });
+            }
+            if (spacing_m < NEAREST_SPACING_M || are_tight) && !self.rows.rows.is_empty() {
+                self.doubts.push(Doubt::Tight { spacing_m, rows_m });
             }
             let plant_m2 = self.leaf_mass.as_ref().map(|mass| gsd_m * gsd_m * mass.plant_px);
             if let Some(plant_m2) = plant_m2.filter(|&area| area > LARGEST_PLANT_M2) {

@@ -119,6 +119,23 @@ impl Trait {
     }
 }
 
+impl Trait {
+    /// A number as near as the trait can be to it: shares lie between 0 and 1, numbers, lengths and areas are not negative.
+    pub fn within_range(&self, value: f64) -> f64 {
+        let is_height = self.name.starts_with("canopy_height") || self.unit == "m3";
+        match (&*self.name, self.unit) {
+            ("valid_share" | "canopy_cover" | "crop_cover" | "row_cover" | "row_gap_share", _) => {
+                value.clamp(0.0, 1.0)
+            }
+            ("plants" | "missing_plants" | "weeds" | "plant_spacing_cv", _) => value.max(0.0),
+            (name, _) if name.starts_with("leaves_") => value.max(0.0),
+            // The surface may lie below the ground by its noise.
+            (_, "m2" | "m" | "1/ha") if !is_height => value.max(0.0),
+            _ => value,
+        }
+    }
+}
+
 impl PlotTraits {
     /// Leaves out the numbers of the whole plot, where too little of it was seen.
     pub(super) fn without_totals(&mut self) {
@@ -198,9 +215,9 @@ traits! {
     plants, "1", "plants that were located",
         "plants of the stage locate that stand in the polygon", "", "intervals of the rows, each row's variance shared out by its plants in the plot; without rows from the confidence of the plants";
     plants_per_ha, "1/ha", "plants by area",
-        "plants over area_m2, times 10,000", "", "that of plants over area_m2, times 10,000";
+        "plants over area_m2, times 10,000; the stage locate and the report divide by the row area instead, length of the rows times the distance between them", "", "that of plants over area_m2, times 10,000";
     missing_plants, "1", "plants that gaps in the rows lack",
-        "most probable number of missing plants of each gap whose middle is in the polygon", "", "probabilities of the gaps";
+        "most probable number of missing plants of each gap whose middle is in the polygon; the ends of rows, and stretches that neighbouring rows share, are left out", "", "probabilities of the gaps";
     canopy_cover, "1", "share of the area that leaves cover",
         "leaf pixels over pixels with data of the polygon", "", COVER_SD;
     crop_cover, "1", "share of the area that leaves cover, without weeds between the rows",
@@ -218,7 +235,7 @@ traits! {
     leaf_length_m, "m", "mean length of these leaves",
         "along the axis of the leaf in the plane of the map", "", MEAN_SD;
     leaf_width_m, "m", "mean width of these leaves",
-        "area over length", "", MEAN_SD;
+        "mean of the widths across the axis of the leaf, at each point of it", "", MEAN_SD;
     leaf_hue_deg, "deg", "mean hue of these leaves",
         "mean direction on the circle of the hues of the leaves", "", MEAN_SD;
     plant_spacing_m, "m", "mean distance of neighbouring plants of a row",
@@ -228,7 +245,7 @@ traits! {
     longest_gap_m, "m", "greatest distance of neighbouring plants of a row",
         "of the same distances", "", "standard deviations of the two plants along the row";
     row_cover, "1", "share of the rows' length that leaf covers",
-        "places along the rows, a pixel apart, with leaf within a quarter of the distance between rows, over all of them in the polygon", "", PARTS_SD;
+        "places along the rows, a pixel apart, with leaf within a quarter of the distance between rows, over all of them in the polygon; a row goes on to where its line leaves the polygon, and where the map shows nothing has no places", "", PARTS_SD;
     row_gap_share, "1", "share of the rows' length in gaps of [plots] min_gap_m and more",
         "places in stretches without leaf that are so long within the polygon, over all of them", "Stolf 1986, STAB 4(6), 22-36", PARTS_SD;
     canopy_height_m, "m", "height of the canopy over the ground",
@@ -365,6 +382,19 @@ mod tests {
         let page = std::fs::read_to_string(path).unwrap();
         assert_eq!(page, dictionary_page(), "cargo run -p experiments -- pages");
         assert!(TRAITS.iter().all(|of| !of.method.is_empty()));
+    }
+
+    #[test]
+    fn ranges_are_those_of_the_traits() {
+        let range = |name: &str| {
+            let of = TRAITS.iter().find(|of| of.name == name).unwrap();
+            [-2.0, 2.0].map(|value| of.within_range(value))
+        };
+        assert_eq!(range("row_cover"), [0.0, 1.0]);
+        assert_eq!(range("plants_per_ha"), [0.0, 2.0]);
+        assert_eq!(range("leaves_by_area"), [0.0, 2.0]);
+        assert_eq!(range("canopy_height_m"), [-2.0, 2.0]);
+        assert_eq!(range("ngrdi"), [-2.0, 2.0]);
     }
 
     #[test]

@@ -105,6 +105,14 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
                 ),
                 "look at figures/plants.png; check the ground sampling distance",
             ),
+            Doubt::Tight { spacing_m, rows_m } => (
+                format!(
+                    "plants are {:.1} cm apart in their rows{}: no field crop stands so close",
+                    100.0 * spacing_m,
+                    rows_m.map_or(String::new(), |rows_m| format!(", and rows {:.1} cm", 100.0 * rows_m))
+                ),
+                "check the ground sampling distance; look at figures/plants.png",
+            ),
             Doubt::Large { plant_m2 } => (
                 format!("plants have {plant_m2:.1} m2 of leaf each: no field crop does; trees, lawn, or a canopy that has closed?"),
                 "look at figures/plants.png; check the ground sampling distance; count on an earlier photo",

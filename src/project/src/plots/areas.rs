@@ -15,7 +15,7 @@ use rowgram_raster::{
     georeference::Georeference,
     polygon::{Polygon, Positions},
 };
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 /// A plot that nobody drew.
 pub(super) fn named(name: String, polygon: Polygon) -> Named {
@@ -38,6 +38,7 @@ pub(super) fn areas(
         (PlotSource::Polygons, areas)
     } else {
         let (Some(rows), Some(alley_m)) = (options.rows_per_plot, options.alley_m) else {
+            refuse_of_plots(options)?;
             return Ok((PlotSource::WholeField, None));
         };
         let Some((plants, row_of)) = &of_rows else {
@@ -46,10 +47,12 @@ pub(super) fn areas(
                 &Diagnostic::warning("plots-without-rows", "plots", message)
                     .with_remedy("locate plants with the row model, or draw the plots as polygons"),
             );
+            refuse_of_plots(options)?;
             return Ok((PlotSource::WholeField, None));
         };
         let gsd_m = gsd_m.ok_or_else(|| no_scale("alley_m"))?;
         let areas = plots_from_rows(plants, row_of, rows, alley_m / gsd_m);
+        say_rows_left(row_count(row_of), rows, monitor);
         (PlotSource::Rows, areas.into_iter().map(|(name, polygon)| named(name, polygon)).collect())
     };
     if let Some(path) = &options.field_book {
@@ -64,6 +67,42 @@ pub(super) fn areas(
 
 fn no_scale(option: &str) -> Error {
     Error::Argument(format!("[plots] {option}: the orthomosaic has no scale in metres"))
+}
+
+/// Refuses options that need plots where the whole field is one.
+fn refuse_of_plots(options: &PlotsOptions) -> Result<(), Error> {
+    let given = [
+        ("inset_along_m", options.inset_along_m > 0.0),
+        ("inset_across_m", options.inset_across_m > 0.0),
+        ("border_rows", options.border_rows > 0),
+        ("field_book", options.field_book.is_some()),
+    ];
+    match given.iter().find(|(_, is_given)| *is_given) {
+        None => Ok(()),
+        Some((name, _)) => Err(Error::Argument(format!(
+            "[plots] {name}: the whole field is one plot, expected plots; draw them ([project] plots), give rows_per_plot and alley_m, or take {name} away"
+        ))),
+    }
+}
+
+/// Rows of which some plant was located.
+fn row_count(row_of: &[f64]) -> usize {
+    let rows: BTreeSet<u64> =
+        row_of.iter().filter(|row| row.is_finite()).map(|&row| row as u64).collect();
+    rows.len()
+}
+
+/// Says where the rows of the field are no whole number of plots.
+fn say_rows_left(rows: usize, rows_per_plot: usize, monitor: &mut dyn Monitor) {
+    let left = rows % rows_per_plot.max(1);
+    if left > 0 {
+        let message = format!(
+            "{rows} rows in plots of {rows_per_plot} leave {left}: the last plots across have {left}, and plots may begin at the wrong row"
+        );
+        let remedy = "check rows_per_plot, or draw the plots as polygons";
+        let found = Diagnostic::warning("plots-rows-left", "plots", message);
+        monitor.diagnostic(&found.with_remedy(remedy));
+    }
 }
 
 /// What is left out at the edges of plots.
@@ -171,4 +210,32 @@ fn join(path: &Path, areas: &mut [Named], monitor: &mut dyn Monitor) -> Result<(
     };
     monitor.diagnostic(&found);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowgram_base::{monitor::Collector, options::Options};
+
+    #[test]
+    fn options_of_plots_are_refused_of_a_whole_field() {
+        let with = |text: &str| PlotsOptions::default().with(&text.parse().unwrap()).unwrap();
+        assert!(refuse_of_plots(&with("")).is_ok());
+        for text in ["border_rows = 1", "inset_along_m = 0.5", "field_book = \"book.csv\""] {
+            let error = refuse_of_plots(&with(text)).unwrap_err().to_string();
+            let name = text.split(' ').next().unwrap();
+            assert!(error.contains(name) && error.contains("expected plots"), "{error}");
+        }
+    }
+
+    #[test]
+    fn rows_that_are_no_whole_number_of_plots_are_told() {
+        let told = |rows: usize| {
+            let mut collector = Collector::default();
+            say_rows_left(rows, 4, &mut collector);
+            collector.diagnostics.len()
+        };
+        assert_eq!([told(8), told(9)], [0, 1]);
+        assert_eq!(row_count(&[0.0, 1.0, 1.0, f64::NAN]), 2);
+    }
 }

@@ -28,7 +28,7 @@ use std::path::Path;
 pub(super) struct Study {
     /// Name of the field.
     pub(super) name: String,
-    /// Time of the first photo, ISO 8601; with its offset from UTC where that is known.
+    /// Time of the first photo, ISO 8601, with its offset from UTC where that is known; else the day that a season gives.
     pub(super) time: Option<String>,
     /// The crop, where it is named.
     pub(super) crop: Option<String>,
@@ -46,7 +46,8 @@ impl Study {
 
     /// What BrAPI has no field for: the local time, where its time zone is not known.
     fn more(&self) -> serde_json::Map<String, Value> {
-        let local = self.time.as_ref().filter(|_| self.moment().is_none());
+        let is_time = |time: &&String| self.moment().is_none() && time.contains('T');
+        let local = self.time.as_ref().filter(is_time);
         local.map(|time| ("localTime".to_owned(), json!(time))).into_iter().collect()
     }
 

@@ -287,39 +287,37 @@ impl Task for Plots {
                 Plot { polygon, traits, attributes }
             })
             .collect();
-        if let Some(path) = project.plots() {
-            if !outside.is_empty() && outside.len() == plots.len() {
-                let message =
-                    "the orthomosaic shows nothing of any of its plots: is it of another field?";
-                return Err(FileError::malformed(&path, None, message).into());
-            }
-            for (code, names, what, remedy) in [
-                (
-                    "plots-narrow",
-                    &slivers,
-                    "hold no middle of a pixel, being narrower than one, and have no traits",
-                    Some("draw them as areas; the leftovers of an overlay can go"),
-                ),
-                (
-                    "plots-outside",
-                    &outside,
-                    "lie outside of the orthomosaic and have no traits",
-                    None,
-                ),
-                (
-                    "plots-partly-outside",
-                    &partly_outside,
-                    "are shown only in part by the orthomosaic, and their traits are of that part",
-                    None,
-                ),
-            ] {
-                if !names.is_empty() {
-                    let (some, all, names) = (names.len(), plots.len(), names.join(", "));
-                    let message = format!("{some} of {all} plots {what}: {names}");
-                    let found = Diagnostic::warning(code, name_of(&path), message);
-                    let remedy = remedy.map(str::to_owned);
-                    monitor.diagnostic(&Diagnostic { remedy, ..found });
-                }
+        let path = project.plots();
+        if let Some(path) = &path
+            && !outside.is_empty()
+            && outside.len() == plots.len()
+        {
+            let message =
+                "the orthomosaic shows nothing of any of its plots: is it of another field?";
+            return Err(FileError::malformed(path, None, message).into());
+        }
+        let subject = path.as_deref().map_or("plots".to_owned(), name_of);
+        for (code, names, what, remedy) in [
+            (
+                "plots-narrow",
+                &slivers,
+                "hold no middle of a pixel, being narrower than one, and have no traits",
+                Some("draw them as areas; the leftovers of an overlay can go"),
+            ),
+            ("plots-outside", &outside, "lie outside of the orthomosaic and have no traits", None),
+            (
+                "plots-partly-outside",
+                &partly_outside,
+                "are shown only in part by the orthomosaic, and their traits are of that part",
+                None,
+            ),
+        ] {
+            if !names.is_empty() {
+                let (some, all, names) = (names.len(), plots.len(), names.join(", "));
+                let message = format!("{some} of {all} plots {what}: {names}");
+                let found = Diagnostic::warning(code, &subject, message);
+                let remedy = remedy.map(str::to_owned);
+                monitor.diagnostic(&Diagnostic { remedy, ..found });
             }
         }
         if !mostly_unseen.is_empty() {
@@ -358,6 +356,7 @@ fn study(project: &Project) -> brapi::Study {
     let outcome =
         align.and_then(|record| serde_json::from_value::<AlignOutcome>(record.outcome).ok());
     let time = outcome.and_then(|outcome| outcome.flight.first_photo_time);
+    let time = time.or_else(|| project.date().map(str::to_owned));
     brapi::Study { name, time, ..brapi::Study::default() }
 }
 
@@ -380,6 +379,14 @@ fn has_closed(project: &Project) -> bool {
 mod tests {
     use super::*;
     use rowgram_base::options::Options;
+
+    #[test]
+    fn the_day_is_that_of_the_season_where_photos_do_not_say_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let project = Project::open(folder.path()).unwrap();
+        assert_eq!(study(&project).time, None);
+        assert_eq!(study(&project.on("2024-06-01")).time.as_deref(), Some("2024-06-01"));
+    }
 
     #[test]
     fn rows_and_alley_belong_together() {

@@ -190,9 +190,8 @@ impl Points {
             .at_px
             .iter()
             .map(|&at| {
-                let scale = if degrees(place) { 1e9 } else { 1e4 };
-                let at = place.map_or(at, |place| place.map(at));
-                at.map(|x| (x * scale).round() / scale)
+                let kind = place.map_or(CrsKind::Unknown, |place| place.crs.kind);
+                kind.rounded(place.map_or(at, |place| place.map(at)))
             })
             .collect();
         let coordinates = match place {

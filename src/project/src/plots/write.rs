@@ -9,11 +9,15 @@ use rowgram_files::{
     csv_table::CsvWriter,
     geoparquet,
     gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
+    polygons,
     qgis::{self, Style},
 };
 use rowgram_optim::output;
 use rowgram_plants::phenotype::traits::{PlotTraits, Trait};
-use rowgram_raster::{georeference::Georeference, polygon::Polygon};
+use rowgram_raster::{
+    georeference::{CrsKind, Georeference},
+    polygon::Polygon,
+};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -104,7 +108,7 @@ pub(super) fn traits(
             json!({
                 "type": "Feature",
                 "properties": properties,
-                "geometry": {"type": "Polygon", "coordinates": rings},
+                "geometry": polygons::geometry(rings),
             })
         })
         .collect();
@@ -245,14 +249,14 @@ fn style(plots: &[Plot], all: &[Trait], folder: &Path) -> Result<(), Error> {
     Ok(qgis::write(&folder.join("traits.qml"), true, &style)?)
 }
 
-/// Closed rings of map positions, to a tenth of a millimetre.
+/// Closed rings of map positions.
 type Rings = Vec<Vec<[f64; 2]>>;
 
 fn on_map(polygon: &Polygon, place: Option<Georeference>) -> Rings {
+    let kind = place.map_or(CrsKind::Unknown, |place| place.crs.kind);
     let ring = |ring: &Vec<[f64; 2]>| {
         let closed = ring.iter().chain(ring.first());
-        let map = closed.map(|&at| place.map_or(at, |place| place.map(at)));
-        map.map(|at| at.map(|x| (x * 1e4).round() / 1e4)).collect()
+        closed.map(|&at| kind.rounded(place.map_or(at, |place| place.map(at)))).collect()
     };
     polygon.rings.iter().map(ring).collect()
 }

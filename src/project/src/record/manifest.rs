@@ -173,6 +173,15 @@ mod tests {
     }
 
     #[test]
+    fn a_file_is_no_folder_of_results() {
+        let root = tempfile::tempdir().unwrap();
+        let results = root.path().join("afile");
+        fs::write(&results, "").unwrap();
+        let error = super::super::Lock::take(root.path(), &results).map(drop).unwrap_err();
+        assert_eq!(error.kind(), rowgram_base::error::Kind::BadInput, "{error}");
+    }
+
+    #[test]
     fn only_what_was_written_is_replaced() {
         let root = tempfile::tempdir().unwrap();
         let folder = root.path().join("results");

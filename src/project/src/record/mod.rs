@@ -285,6 +285,10 @@ impl Lock {
         results: &Path,
         lock: impl Fn(&File) -> Result<(), std::fs::TryLockError>,
     ) -> Result<Lock, Error> {
+        if results.is_file() {
+            let message = "it is a file, expected the folder of the results";
+            return Err(FileError::Unusable { path: results.to_owned(), message }.into());
+        }
         std::fs::create_dir_all(results).map_err(|e| FileError::write(results, e))?;
         let path = results.join(LOCK);
         let failed = |e| FileError::write(&path, e);

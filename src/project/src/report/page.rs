@@ -131,7 +131,7 @@ fn numbers(facts: &Facts<'_>) -> Vec<(String, String)> {
     if let Some(locate) = &results.locate {
         add(locate.plants.to_string(), "plants");
         if let Some(density) = locate.stand.as_ref().and_then(|stand| stand.plants_per_hectare) {
-            add(format!("{density:.0}"), "plants per hectare");
+            add(format!("{density:.0}"), "plants per hectare of row area");
         }
         if let Some(spacing_m) = locate.stand.as_ref().and_then(|stand| stand.spacing_m) {
             add(format!("{:.1} cm", 100.0 * spacing_m), "between plants of a row");

@@ -14,7 +14,7 @@
     const k = Number(slider.value);
     const trait = data.traits[Number(choice.value)];
     label.textContent = `${data.dates[k]}: ${trait.name} from ${trait.low} (dark) to ${trait.high} (light)`;
-    document.querySelectorAll('#season-map polygon').forEach((shape, plot) => {
+    document.querySelectorAll('#season-map path').forEach((shape, plot) => {
       const value = trait.values[plot][k];
       const share = (value - trait.low) / ((trait.high - trait.low) || 1);
       shape.setAttribute('fill', value === null ? 'none' : colour(share));

@@ -1,7 +1,7 @@
 //! The report of a season: one HTML file that needs no other, from the typed outcome; computes nothing.
 
 use super::page;
-use crate::season::{PlotSeries, SeasonFile, SeasonOutcome, SeasonTrait};
+use crate::season::{PlotSeries, SeasonFile, SeasonFlight, SeasonOutcome, SeasonTrait};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use rowgram_base::error::Error;
 use rowgram_plants::problems::growth_curve::Estimate;
@@ -96,6 +96,11 @@ fn centimetres(value_m: f64) -> String {
     format!("{:.1}", 100.0 * value_m)
 }
 
+/// Which stage of a flight failed that takes part.
+fn failure(flight: &SeasonFlight) -> Markup {
+    html! { @if let Some(why) = &flight.failure { "; a stage failed: " (why) } }
+}
+
 fn flights(outcome: &SeasonOutcome) -> Markup {
     html! {
         div .scroll { table {
@@ -108,8 +113,8 @@ fn flights(outcome: &SeasonOutcome) -> Markup {
                     td { (flight.day) }
                     @match (&flight.placement, fit) {
                         (None, _) => td .wrap { "none: " (flight.failure.as_deref().unwrap_or("no map")) },
-                        (Some(_), None) => td { "its own" },
-                        (Some(placement), Some(_)) => td { "tied to " (placement.tied_to.join(", ")) },
+                        (Some(_), None) => td .wrap { "its own" (failure(flight)) },
+                        (Some(placement), Some(_)) => td .wrap { "tied to " (placement.tied_to.join(", ")) (failure(flight)) },
                     }
                     @match fit {
                         Some(fit) => {
@@ -184,7 +189,7 @@ fn short(value: f64) -> String {
 
 fn map(outcome: &SeasonOutcome) -> Markup {
     const WIDE: f64 = 720.0;
-    let corners = || outcome.outlines_m.iter().flatten();
+    let corners = || outcome.outlines_m.iter().flatten().flatten();
     let bound = |axis: usize| {
         corners()
             .map(|p| p[axis])
@@ -195,6 +200,10 @@ fn map(outcome: &SeasonOutcome) -> Markup {
     let scale = WIDE / (x1 - x0 + 2.0 * pad);
     let at =
         |p: &[f64; 2]| format!("{:.1},{:.1}", (p[0] - x0 + pad) * scale, (y1 + pad - p[1]) * scale);
+    let outline = |rings: &Vec<Vec<[f64; 2]>>| -> String {
+        let ring = |ring: &Vec<[f64; 2]>| ring.iter().map(at).collect::<Vec<_>>().join(" L");
+        rings.iter().map(|of| format!("M{}Z", ring(of))).collect()
+    };
     let tall = (y1 - y0 + 2.0 * pad) * scale;
     let with_map: Vec<_> = outcome.flights.iter().filter(|f| f.placement.is_some()).collect();
     let values = |of: &SeasonTrait| -> Vec<Vec<Option<f64>>> {
@@ -240,8 +249,8 @@ fn map(outcome: &SeasonOutcome) -> Markup {
             }
             p id="season-label" .note { "The colours need JavaScript; the values are in traits_long.csv." }
             figure { svg id="season-map" viewBox=(format!("0 0 {WIDE} {tall:.0}")) role="img" aria-label="Plots coloured by a trait" {
-                @for ring in &outcome.outlines_m {
-                    polygon points=(ring.iter().map(at).collect::<Vec<_>>().join(" ")) fill="none" stroke="var(--soft)" { title {} }
+                @for rings in &outcome.outlines_m {
+                    path d=(outline(rings)) fill="none" fill-rule="evenodd" stroke="var(--soft)" { title {} }
                 }
             } }
             script id="season-data" type="application/json" { (PreEscaped(data)) }

@@ -45,7 +45,8 @@ pub enum Frame {
 pub struct FlightEntry {
     /// The folder of its project.
     pub project: PathBuf,
-    /// The day of the flight, `YYYY-MM-DD`.
+    /// The day of the flight, `YYYY-MM-DD`, quoted or not.
+    #[serde(deserialize_with = "date_text")]
     pub date: String,
     /// Whose frame it is in; where not set, its own where ground control took part in its adjustment.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -80,6 +81,7 @@ pub struct SeasonFile {
 #[serde(deny_unknown_fields)]
 struct Content {
     name: Option<String>,
+    #[serde(default, deserialize_with = "optional_date_text")]
     sown: Option<String>,
     plots: Option<PathBuf>,
     panels: Option<PathBuf>,
@@ -87,6 +89,27 @@ struct Content {
     #[serde(default)]
     flights: Vec<toml::Spanned<FlightEntry>>,
     season: Option<toml::Table>,
+}
+
+/// A date as a text or as TOML's own.
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "expected a date like 2015-05-28")]
+enum DateText {
+    Text(String),
+    Date(toml::value::Datetime),
+}
+
+fn date_text<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    Ok(match DateText::deserialize(deserializer)? {
+        DateText::Text(text) => text,
+        DateText::Date(date) => date.to_string(),
+    })
+}
+
+fn optional_date_text<'de, D: serde::Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<String>, D::Error> {
+    date_text(deserializer).map(Some)
 }
 
 /// Traits whose growth is fitted where the file names none.
@@ -156,7 +179,9 @@ impl SeasonFile {
                 let message = format!("date = {:?}: another flight has this date", flight.date);
                 return Err(malformed(line, message));
             }
-            if flights.iter().any(|(_, _, other)| other.project == flight.project) {
+            let folder = |flight: &FlightEntry| root.join(&flight.project).canonicalize().ok();
+            let own = folder(&flight);
+            if flights.iter().any(|(_, _, other)| folder(other) == own) {
                 let message = format!("project = {:?}: it is listed twice", flight.project);
                 return Err(malformed(line, message));
             }
@@ -243,6 +268,10 @@ mod tests {
         assert_eq!(file.traits.len(), 3);
         let without = read(&TWO.replace("sown = \"2016-02-20\"\n", "")).unwrap();
         assert_eq!(without.day(&without.flights[1]), 2.0);
+        let unquoted = TWO.replace("\"2016-02-20\"", "2016-02-20");
+        let unquoted = read(&unquoted.replace("\"2016-02-28\"", "2016-02-28")).unwrap();
+        assert_eq!(unquoted.flights, file.flights);
+        assert_eq!(unquoted.sown, file.sown);
     }
 
     #[test]
@@ -274,6 +303,8 @@ mod tests {
             ("2016-02-28", "2016-03-01", "another flight has this date"),
             ("2016-02-28", "2016-02-19", "before sowing"),
             ("\"a\"", "\"b\"", "listed twice"),
+            ("\"a\"", "\"./b\"", "listed twice"),
+            ("\"2016-02-28\"", "3", "expected a date"),
             ("sown", "traits = [\"canopy_cove\"]\nsown", "did you mean \"canopy_cover\"?"),
         ] {
             let error = read(&TWO.replacen(from, to, 1)).unwrap_err();

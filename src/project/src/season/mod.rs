@@ -15,6 +15,7 @@
 mod colours;
 mod file;
 mod follow;
+mod plots;
 mod register;
 mod write;
 
@@ -36,10 +37,11 @@ use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor, Recorder},
 };
-use rowgram_files::polygons::{self, Named};
-use rowgram_optim::output::{self, FileError};
+use rowgram_files::polygons::{self, Outline};
+use rowgram_optim::output::FileError;
 use rowgram_plants::{phenotype::traits::PlotTraits, problems::growth_curve::GrowthModel};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 rowgram_base::options! {
@@ -106,8 +108,10 @@ pub struct SeasonOutcome {
     pub flights: Vec<SeasonFlight>,
     /// Names of the plots.
     pub plots: Vec<String>,
-    /// Outlines of the plots in the frame of the season, metres; empty where the whole field is one.
-    pub outlines_m: Vec<Vec<[f64; 2]>>,
+    /// Rings of the plots in the frame of the season, metres; empty where the whole field is one.
+    pub outlines_m: Vec<Vec<Vec<[f64; 2]>>>,
+    /// What the polygons of the plots say beside their names: genotype, treatment, block.
+    pub attributes: Vec<Vec<(String, Value)>>,
     /// The traits whose growth was fitted.
     pub traits: Vec<SeasonTrait>,
     /// When each plot emerged.
@@ -142,9 +146,6 @@ impl SeasonOutcome {
     }
 }
 
-/// A plot: its name, and its outer ring in the frame of the season, metres.
-type Outline = (String, Vec<[f64; 2]>);
-
 /// A flight while the season is done.
 struct Flight {
     entry: FlightEntry,
@@ -157,7 +158,8 @@ struct Flight {
 
 impl Flight {
     fn project(&self) -> Result<Project, Error> {
-        Ok(Project::new(&self.root, self.config.clone())?.forced(self.force))
+        let project = Project::new(&self.root, self.config.clone())?;
+        Ok(project.forced(self.force).on(&self.entry.date))
     }
 }
 
@@ -182,9 +184,6 @@ pub fn season(
     record::check(&results, &write::FILES, force)?;
     // Before hours are spent on the flights.
     colours::check_panels(file)?;
-    if let Some(plots) = &file.plots {
-        polygons::check(plots, None)?;
-    }
     let mut flights = Vec::new();
     for entry in &file.flights {
         let folder = root.join(&entry.project);
@@ -202,6 +201,10 @@ pub fn season(
         };
         let (entry, traits) = (entry.clone(), Vec::new());
         flights.push(Flight { entry, config, root: folder, report, traits, force });
+    }
+    let plot_key = flights.iter().find_map(|flight| flight.config.project.plot_key.clone());
+    if let Some(plots) = &file.plots {
+        polygons::check(plots, plot_key.as_deref())?;
     }
     let mut recorder = Recorder::new(monitor);
     let mut maps = Vec::new();
@@ -221,13 +224,14 @@ pub fn season(
         return Err(Error::Incomplete(format!("{}: {message}", file.path.display())));
     }
     recorder.stage("season");
+    register::check_systems(&maps)?;
     let ties = Store::new(results.join(STORE));
     let placed = register::place(&maps, &file.options, &ties, &mut recorder)?;
     for (&k, placement) in with_map.iter().zip(placed) {
         flights[k].report.placement = placement;
     }
     scale_colours(file, (&with_map, &maps), &mut flights, &ties, &mut recorder)?;
-    let outlines_m = outlines(file, &maps)?;
+    let outlines_m = plots::read(file, plot_key.as_deref(), &maps[0], &mut recorder)?;
     for (&k, map) in with_map.iter().zip(&maps) {
         let flight = &mut flights[k];
         if flight.report.placement.is_none() {
@@ -250,7 +254,7 @@ pub fn season(
             days.push(Day::read(&flight.project()?, &flight.report, placement, &flight.traits)?);
         }
     }
-    let names = outlines_m.as_ref().map(|all| all.iter().map(|(name, _)| name.clone()).collect());
+    let names = outlines_m.as_ref().map(|all| all.iter().map(|plot| plot.name.clone()).collect());
     let found = follow::follow(&days, names, &file.traits, file.options.growth_model);
     follow::report_outliers(&found.outliers, &mut recorder);
     for (day, flight) in
@@ -258,14 +262,15 @@ pub fn season(
     {
         flight.report.plants = day.plants.as_ref().map(Vec::len);
     }
+    let (outlines_m, attributes) =
+        outlines_m.into_iter().flatten().map(|plot| (plot.rings, plot.attributes)).unzip();
     let outcome = SeasonOutcome {
         name: file.name.clone(),
         from_sowing: file.sown.is_some(),
         flights: flights.into_iter().map(|flight| flight.report).collect(),
         plots: found.plots.clone(),
-        outlines_m: outlines_m
-            .map(|all| all.into_iter().map(|(_, ring)| ring).collect())
-            .unwrap_or_default(),
+        outlines_m,
+        attributes,
         traits: found.traits.clone(),
         emergence: found.emergence.clone(),
         tracks: found.tracks.tracks.len(),
@@ -276,6 +281,7 @@ pub fn season(
     let work = record::temporary(&results)?;
     write::write(work.path(), &outcome, &days, &found)?;
     record::publish(work.path(), &results, force)?;
+    plots::withdraw(&outcome, &results)?;
     Ok(outcome)
 }
 
@@ -308,8 +314,20 @@ fn scale_colours(
     Ok(())
 }
 
+/// Names a flight that takes no part.
 fn fail(flight: &mut Flight, error: &Error, monitor: &mut dyn Monitor) {
-    let message = format!("it takes no part in the season: {error}");
+    report_failure(flight, "it takes no part in the season", error, monitor);
+}
+
+/// Names a flight one of whose stages failed, but once.
+fn fail_stage(flight: &mut Flight, error: &Error, monitor: &mut dyn Monitor) {
+    if flight.report.failure.as_ref().is_none_or(|known| *known != error.to_string()) {
+        report_failure(flight, "one of its stages failed", error, monitor);
+    }
+}
+
+fn report_failure(flight: &mut Flight, what: &str, error: &Error, monitor: &mut dyn Monitor) {
+    let message = format!("{what}: {error}");
     monitor.diagnostic(
         &Diagnostic::warning("season-flight-failed", &flight.report.date, message).with_remedy(
             format!("rowgram run {} says more", stage::quoted(&flight.root.display().to_string())),
@@ -335,7 +353,9 @@ fn first_run(flight: &mut Flight, monitor: &mut dyn Monitor) -> Result<DateMap, 
     );
     match (map, outcome.failure) {
         (Ok(map), failure) => {
-            flight.report.failure = failure.map(|error| error.to_string());
+            if let Some(error) = failure {
+                fail_stage(flight, &error, monitor);
+            }
             Ok(map)
         }
         (Err(_), Some(failure)) => Err(failure),
@@ -351,52 +371,19 @@ fn second_run(
     results: &Path,
     monitor: &mut dyn Monitor,
 ) -> Result<(), Error> {
-    if let (Some(outlines), Some(placement)) = (outlines_m, &flight.report.placement) {
-        let name = PathBuf::from("plots").join(format!("{}.geojson", map.date));
-        let work = record::temporary(results)?;
-        output::make_folder(&work.path().join("plots"))?;
-        let on_map = outlines.iter().map(|(name, ring)| polygons::Outline {
-            name: name.clone(),
-            rings: vec![ring.iter().map(|&at| placement.transform.invert(at)).collect()],
-            attributes: Vec::new(),
-        });
-        let on_map: Vec<polygons::Outline> = on_map.collect();
-        polygons::write(&work.path().join(&name), true, &on_map, Some(map.place.crs))?;
-        record::publish(work.path(), results, flight.force)?;
-        flight.config.project.plots = Some(from(&flight.root, &results.join(&name)));
+    if let (Some(plots), Some(placement)) = (outlines_m, &flight.report.placement) {
+        let path = plots::write(plots, map, placement, results, flight.force)?;
+        flight.config.project.plots = Some(plots::from(&flight.root, &path));
+        flight.config.project.plot_key = Some(polygons::NAME.to_owned());
     }
     let outcome = run::run(&flight.project()?, &RunOptions::default(), &mut Quiet(monitor))?;
     if let Some(plots) = outcome.results.plots {
         flight.traits = plots.plots;
     }
-    Ok(())
-}
-
-/// The outlines of the plots in the frame of the season; `None` where the season has none.
-fn outlines(file: &SeasonFile, maps: &[DateMap]) -> Result<Option<Vec<Outline>>, Error> {
-    let Some(path) = &file.plots else { return Ok(None) };
-    // Any map will do: it says in which system, and pixels go back to where they came from.
-    let place = maps[0].place;
-    let named = polygons::read(path, Some(&place))?;
-    let outline = |plot: Named| {
-        // Holes are left to the mask: an outline is the first ring.
-        let ring = plot.polygon.rings.into_iter().next().unwrap_or_default();
-        (plot.name, ring.into_iter().map(|at| place.map(at)).collect())
-    };
-    Ok(Some(named.into_iter().map(outline).collect()))
-}
-
-/// A path as seen from a folder, where both lie in one place; absolute otherwise.
-fn from(folder: &Path, path: &Path) -> PathBuf {
-    let (Ok(folder), Ok(path)) = (folder.canonicalize(), path.canonicalize()) else {
-        return path.to_owned();
-    };
-    let shared = folder.components().zip(path.components()).take_while(|(a, b)| a == b).count();
-    if shared <= 1 {
-        return path;
+    if let Some(error) = outcome.failure {
+        fail_stage(flight, &error, monitor);
     }
-    let up = folder.components().skip(shared).map(|_| std::path::Component::ParentDir);
-    up.chain(path.components().skip(shared)).collect()
+    Ok(())
 }
 
 /// Passes progress on, and of the diagnostics of a flight none: they are in its own report.
@@ -412,20 +399,4 @@ impl Monitor for Quiet<'_> {
     }
 
     fn diagnostic(&mut self, _: &Diagnostic) {}
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn paths_are_seen_from_the_folder_of_the_flight() {
-        let folder = tempfile::tempdir().unwrap();
-        let (flight, plots) = (folder.path().join("a"), folder.path().join("season/plots"));
-        std::fs::create_dir(&flight).unwrap();
-        std::fs::create_dir_all(&plots).unwrap();
-        std::fs::write(plots.join("x.geojson"), "").unwrap();
-        let seen = from(&flight, &plots.join("x.geojson"));
-        assert_eq!(seen, PathBuf::from("../season/plots/x.geojson"));
-    }
 }

@@ -18,7 +18,11 @@ use rowgram_files::{
     geotiff::{Reader, Reading},
 };
 use rowgram_optim::output::FileError;
-use rowgram_raster::{georeference::Georeference, spectral::Band, window::Window};
+use rowgram_raster::{
+    georeference::{Georeference, Transfer},
+    spectral::Band,
+    window::Window,
+};
 use rowgram_survey::{
     mapping::{
         map_ties::{self, MapFeatures},
@@ -250,6 +254,39 @@ fn ties(
     Ok(map_ties::consistent(&alike, options.tolerance_px * gsd_m, options.seed))
 }
 
+/// Whether all maps have one reference system: their places are compared as numbers.
+///
+/// # Errors
+/// Names the map of another one.
+pub(super) fn check_systems(maps: &[DateMap]) -> Result<(), FileError> {
+    let Some((first, others)) = maps.split_first() else { return Ok(()) };
+    for other in others {
+        let (own, of_first) = (&other.place, &first.place);
+        if !is_same_frame(own, of_first) {
+            let name = |place: &Georeference| {
+                let system = place.crs.system();
+                system.map_or("no stated system".to_owned(), |system| system.name().to_owned())
+            };
+            let message = format!(
+                "it is in {}, the map of {} in {}: expected all maps of a season in one reference system; bring them into one ([project] crs, or gdalwarp for a given map)",
+                name(own),
+                first.date,
+                name(of_first)
+            );
+            return Err(FileError::malformed(&other.ortho, None, message));
+        }
+    }
+    Ok(())
+}
+
+/// Whether numbers of two maps mean the same places, as far as their systems are known.
+fn is_same_frame(own: &Georeference, other: &Georeference) -> bool {
+    const SAME_M: f64 = 0.01;
+    let [x, y] = own.origin;
+    let moved = Transfer::between(&own.crs, &other.crs).at([x, y]);
+    moved.is_some_and(|at| (at[0] - x).hypot(at[1] - y) < SAME_M)
+}
+
 /// Places every map; `None` for one that shares too little with the others.
 ///
 /// # Errors
@@ -355,4 +392,20 @@ fn kept_ties(
     let found = ties(maps, pair, features, options)?;
     store.save(&name, key, &found)?;
     Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowgram_raster::georeference::Crs;
+
+    #[test]
+    fn maps_of_other_systems_have_other_frames() {
+        let map =
+            |epsg| Georeference::north_up([500_000.0, 5_300_000.0], 0.01, Crs::projected(epsg));
+        assert!(is_same_frame(&map(32632), &map(32632)));
+        assert!(!is_same_frame(&map(32632), &map(32633)));
+        let local = Georeference { crs: Crs::LOCAL, ..map(32632) };
+        assert!(is_same_frame(&local, &map(32632)), "a system that is not stated is not refused");
+    }
 }

@@ -11,6 +11,7 @@ use rowgram_plants::{
     phenotype::{stand::NORMAL_95, traits::known_traits},
     problems::growth_curve::Estimate,
 };
+use serde_json::Value;
 use std::path::Path;
 
 /// The files.
@@ -54,6 +55,51 @@ fn significant(value: Option<f64>) -> String {
     }
     let unit = 10f64.powi(5 - x.abs().log10().floor() as i32);
     ((x * unit).round() / unit).to_string()
+}
+
+/// The attributes of the plots as columns behind those of a table.
+struct AttributeColumns<'a> {
+    outcome: &'a SeasonOutcome,
+    names: Vec<&'a str>,
+}
+
+impl<'a> AttributeColumns<'a> {
+    /// In the order in which they first appear.
+    fn of(outcome: &'a SeasonOutcome) -> AttributeColumns<'a> {
+        let mut names = Vec::new();
+        for (name, _) in outcome.attributes.iter().flatten() {
+            if !names.contains(&name.as_str()) {
+                names.push(name.as_str());
+            }
+        }
+        AttributeColumns { outcome, names }
+    }
+
+    /// Their headings; one with the name of a column of the table gets another one.
+    fn header(&self, own: &[String]) -> Vec<String> {
+        let mut header = own.to_vec();
+        for &name in &self.names {
+            let mut name = name.to_owned();
+            while header.contains(&name) {
+                name += "_of_plot";
+            }
+            header.push(name);
+        }
+        header
+    }
+
+    fn values(&self, plot: &str) -> impl Iterator<Item = String> {
+        let index = self.outcome.plots.iter().position(|name| name == plot);
+        let all = index.and_then(|k| self.outcome.attributes.get(k));
+        self.names.iter().map(move |&name| {
+            let value = all.and_then(|all| all.iter().find(|(own, _)| own == name));
+            match value.map(|(_, value)| value) {
+                None => String::new(),
+                Some(Value::String(text)) => text.clone(),
+                Some(other) => other.to_string(),
+            }
+        })
+    }
 }
 
 fn flights(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
@@ -155,7 +201,8 @@ fn colours(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
 fn traits(path: &Path, outcome: &SeasonOutcome, days: &[Day]) -> Result<(), Error> {
     Ok(output::write(path, true, |out| {
         let mut csv = CsvWriter::new(out);
-        csv.write_record([
+        let attributes = AttributeColumns::of(outcome);
+        let own = [
             "date",
             "day",
             "plot",
@@ -168,7 +215,8 @@ fn traits(path: &Path, outcome: &SeasonOutcome, days: &[Day]) -> Result<(), Erro
             "fitted_low",
             "fitted_high",
             "outlier",
-        ])?;
+        ];
+        csv.write_record(attributes.header(&own.map(str::to_owned)))?;
         let all = known_traits();
         for day in days {
             for plot in &outcome.plots {
@@ -192,20 +240,21 @@ fn traits(path: &Path, outcome: &SeasonOutcome, days: &[Day]) -> Result<(), Erro
                         .outliers
                         .iter()
                         .any(|o| o.plot == *plot && o.name == of.name && o.date == day.date);
-                    csv.write_record([
+                    let own = [
                         day.date.clone(),
                         day.day.to_string(),
                         plot.clone(),
                         of.name.to_string(),
                         significant(Some(value)),
                         of.unit.to_owned(),
-                        significant(half.map(|half| value - half)),
-                        significant(half.map(|half| value + half)),
+                        significant(half.map(|half| of.within_range(value - half))),
+                        significant(half.map(|half| of.within_range(value + half))),
                         significant(fitted.map(|f| f[0])),
-                        significant(fitted.map(|f| f[1])),
-                        significant(fitted.map(|f| f[2])),
+                        significant(fitted.map(|f| of.within_range(f[1]))),
+                        significant(fitted.map(|f| of.within_range(f[2]))),
                         season.map(|_| u8::from(is_outlier).to_string()).unwrap_or_default(),
-                    ])?;
+                    ];
+                    csv.write_record(own.into_iter().chain(attributes.values(plot)))?;
                 }
             }
         }
@@ -263,7 +312,8 @@ fn growth(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
         for name in ["final", "rate_per_day", "half_day", "onset_day"] {
             header.extend(["", "_sigma", "_low", "_high"].map(|end| format!("{name}{end}")));
         }
-        csv.write_record(&header)?;
+        let attributes = AttributeColumns::of(outcome);
+        csv.write_record(attributes.header(&header))?;
         for of in &outcome.traits {
             for series in &of.plots {
                 let status = match (&series.curve, series.untold) {
@@ -293,9 +343,44 @@ fn growth(path: &Path, outcome: &SeasonOutcome) -> Result<(), Error> {
                         .map(significant),
                     );
                 }
+                row.extend(attributes.values(&series.plot));
                 csv.write_record(&row)?;
             }
         }
         csv.flush()
     })?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn attributes_are_columns_of_their_plots() {
+        let attribute = |name: &str, value: &str| (name.to_owned(), Value::from(value));
+        let outcome = SeasonOutcome {
+            name: String::new(),
+            from_sowing: false,
+            flights: Vec::new(),
+            plots: vec!["A".to_owned(), "B".to_owned()],
+            outlines_m: Vec::new(),
+            attributes: vec![
+                vec![attribute("genotype", "B73")],
+                vec![attribute("unit", "5"), attribute("genotype", "W22")],
+            ],
+            traits: Vec::new(),
+            emergence: Vec::new(),
+            tracks: 0,
+            steps: Vec::new(),
+            outliers: Vec::new(),
+            diagnostics: Vec::new(),
+        };
+        let columns = AttributeColumns::of(&outcome);
+        let header = columns.header(&["plot".to_owned(), "unit".to_owned()]);
+        assert_eq!(header, ["plot", "unit", "genotype", "unit_of_plot"]);
+        let values = |plot: &str| columns.values(plot).collect::<Vec<_>>();
+        assert_eq!(values("A"), ["B73", ""]);
+        assert_eq!(values("B"), ["W22", "5"]);
+        assert_eq!(values("C"), ["", ""]);
+    }
 }

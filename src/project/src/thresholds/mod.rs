@@ -167,6 +167,10 @@ fn read(
     monitor: &mut dyn Monitor,
 ) -> Result<RgbImage, FileError> {
     let picture = images::read_photo(path)?;
+    if !annotated && picture.pixels().all(|Rgb([r, g, b])| r == g && g == b) {
+        let message = "it has no colours, from which thresholds could be proposed: expected a photo in colours";
+        return Err(FileError::malformed(path, None, message));
+    }
     let turn = photo::read(path)?.orientation;
     let turn = u8::try_from(turn).ok().and_then(Orientation::from_exif);
     match turn.filter(|turn| *turn != Orientation::NoTransforms) {
@@ -227,4 +231,22 @@ fn check(input: Photos<'_>, options: &ThresholdsOptions) -> Result<(), Error> {
         return refuse("leave_one_out: expected two photos or more".to_owned());
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rowgram_base::monitor::Silent;
+
+    #[test]
+    fn nothing_is_proposed_of_photos_without_colours() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("grey.png");
+        let grey = RgbImage::from_fn(40, 30, |u, v| Rgb([(u * v % 251) as u8; 3]));
+        images::write_photo(&path, false, &grey).unwrap();
+        let photos = Photos { photos: &[path], masks: &[] };
+        let outcome = thresholds(photos, &ThresholdsOptions::default(), None, &mut Silent);
+        let error = outcome.unwrap_err().to_string();
+        assert!(error.contains("grey.png: it has no colours"), "{error}");
+    }
 }

@@ -102,6 +102,14 @@ pub enum IndexError {
         /// What is wrong with it besides.
         why: String,
     },
+    /// Two indices of one name.
+    #[error(
+        "{name} stands twice, expected each index once, or another name for one (NAME = FORMULA)"
+    )]
+    Twice {
+        /// The name.
+        name: String,
+    },
     /// A band that the raster has not.
     #[error("{name} needs the band {band}, and the orthomosaic has {}", listed(there))]
     Band {
@@ -177,8 +185,7 @@ impl Index {
         for (place, text) in words.iter().enumerate() {
             let index = Index::read(text, place + 1)?;
             if found.iter().any(|other| other.name == index.name) {
-                let why = format!("; {} stands twice", index.name);
-                return Err(IndexError::Name { name: index.name, why });
+                return Err(IndexError::Twice { name: index.name });
             }
             found.push(index);
         }

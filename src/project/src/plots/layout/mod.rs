@@ -348,9 +348,10 @@ fn aligned(of_plots: Vec<Vec<(String, Value)>>) -> Vec<Vec<(String, Value)>> {
     of_plots.into_iter().map(of).collect()
 }
 
-/// Joins the entries of a field map to the plots by their names.
+/// Joins the entries of a field map to the plots by their names. Range and column of a layout that is made of corners are its own.
 fn join(laid: &mut Laid, map: &FieldMap, path: &Path, monitor: &mut dyn Monitor) {
-    let mut lacking = Vec::new();
+    let (mut lacking, mut contradicted) = (Vec::new(), Vec::new());
+    let is_numbered = !laid.corners.is_empty();
     for (plot, own) in laid.plan.plots.iter().zip(&mut laid.attributes) {
         let values = map.plots.get(&plot.name);
         if values.is_none() {
@@ -358,11 +359,20 @@ fn join(laid: &mut Laid, map: &FieldMap, path: &Path, monitor: &mut dyn Monitor)
         }
         for (k, column) in map.columns.iter().enumerate() {
             let value = values.map_or(Value::Null, |values| values[k].clone());
-            match own.iter_mut().find(|(name, _)| name.eq_ignore_ascii_case(column)) {
-                Some((_, before)) => *before = value,
-                None => own.push((column.clone(), value)),
-            }
+            let kept = set(own, (column, value), is_numbered);
+            contradicted.extend(kept.map(|what| format!("{} ({what})", plot.name)));
         }
+    }
+    if !contradicted.is_empty() {
+        let message = format!(
+            "its ranges and columns of {} entries are not those of the layout, which are kept: {}",
+            contradicted.len(),
+            few(&contradicted)
+        );
+        monitor.diagnostic(
+            &Diagnostic::warning("field-map-contradicts", name_of(path), message)
+                .with_remedy("compare plots_to, numbering and serpentine with the field map"),
+        );
     }
     let is_there = |name: &String| laid.plan.plots.iter().any(|plot| plot.name == *name);
     let unknown: Vec<&str> =
@@ -382,6 +392,28 @@ fn join(laid: &mut Laid, map: &FieldMap, path: &Path, monitor: &mut dyn Monitor)
     }
 }
 
+/// Sets an attribute of a plot, but range and column of one that `is_numbered` by them; says which of these the value contradicts.
+fn set(
+    own: &mut Vec<(String, Value)>,
+    (column, value): (&str, Value),
+    is_numbered: bool,
+) -> Option<String> {
+    match own.iter_mut().find(|(name, _)| name.eq_ignore_ascii_case(column)) {
+        Some((name, before)) if is_numbered && ["range", "column"].contains(&name.as_str()) => {
+            let is_other = !value.is_null() && value != *before;
+            is_other.then(|| format!("{name} {before}, there {value}"))
+        }
+        Some((_, before)) => {
+            *before = value;
+            None
+        }
+        None => {
+            own.push((column.to_owned(), value));
+            None
+        }
+    }
+}
+
 /// The first few of some names.
 fn few(names: &[impl AsRef<str>]) -> String {
     const SHOWN: usize = 8;
@@ -394,5 +426,23 @@ impl CornerResidual {
     /// The word of its corner.
     fn word(&self) -> String {
         self.corner.word()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_of_the_layout_are_kept() {
+        let mut own =
+            vec![("range".to_owned(), Value::from(2)), ("entry".to_owned(), Value::from(7))];
+        assert_eq!(set(&mut own, ("Range", Value::from(2)), true), None);
+        let said = set(&mut own, ("Range", Value::from(3)), true);
+        assert_eq!(said.as_deref(), Some("range 2, there 3"));
+        assert_eq!(own[0].1, 2);
+        assert_eq!(set(&mut own, ("range", Value::from(3)), false), None);
+        assert_eq!(set(&mut own, ("entry", Value::from(8)), true), None);
+        assert_eq!([&own[0].1, &own[1].1], [3, 8]);
     }
 }

@@ -21,6 +21,7 @@ mod serve;
 use super::{Facts, map, page, pictures::on_paper};
 use crate::{
     Project,
+    ortho::ORTHOMOSAIC,
     query::{OrthophotoOrigins, Sighting, query},
     run::RunOutcome,
     stac,
@@ -135,9 +136,13 @@ impl Viewer {
         let place = orthomosaic.as_ref().and_then(Reader::georeference);
         let served = map::Served { tiles: orthomosaic.is_some(), photos: origins.is_some() };
         let page = page::viewer(&outcome.project, &map::served(&facts, served)?, has_marks);
-        let rasters = stac::rasters()
+        let mut rasters: BTreeMap<&str, PathBuf> = stac::rasters()
             .filter_map(|(stage, name)| Some((name, facts.file(stage, name)?)))
             .collect();
+        if orthomosaic.is_some() {
+            // One that was given is no result of a stage.
+            rasters.entry(ORTHOMOSAIC).or_insert(path);
+        }
         Ok(Viewer { page, orthomosaic, place, origins, rasters, ..Viewer::default() })
     }
 
