@@ -152,16 +152,18 @@ pub(super) fn read(
     let tagged: Vec<(usize, Geotag)> =
         tags.iter().enumerate().filter_map(|(k, tag)| tag.map(|tag| (k, tag))).collect();
     let bad = |e: rowgram_raster::crs::CrsError| Error::Argument(format!("--crs: {e}"));
+    let geographic = control.is_some_and(|c| c.geographic);
     let mut crs = match sources.crs {
         Some(words) => Some(Crs::from_words(words).map_err(bad)?),
-        None => match control.and_then(|c| c.crs.as_deref().filter(|_| !c.geographic)) {
+        None => match control.and_then(|c| c.crs.as_deref()) {
+            // Degrees may be of the system that the file names.
+            Some(words) if geographic => Crs::from_words(words).ok(),
             Some(words) => Some(Crs::from_words(words).map_err(|e| {
                 Error::Argument(format!("the control points' reference system: {e}"))
             })?),
             None => None,
         },
     };
-    let geographic = control.is_some_and(|c| c.geographic);
     if let Some(read) = read {
         known.ground = read.control.ground;
         known.marks = read.marks;
