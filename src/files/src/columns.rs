@@ -1,6 +1,7 @@
 //! Words by which other programs call the columns of their tables; the first of each list is our own.
 
 use super::FileError;
+use super::control::Defaults;
 use super::table::{Column, Row, Table};
 use rowgram_optim::robust::median;
 
@@ -195,7 +196,7 @@ pub(super) fn sigmas(table: &Table) -> [Option<Column>; 3] {
     [of(SIGMA_EAST, SIGMA_PLAN), of(SIGMA_NORTH, SIGMA_PLAN), of(SIGMA_UP, &[])]
 }
 
-/// The standard deviations of a row, where it has all three.
+/// The standard deviations of a row that has any; an axis without one has that of a receiver alone.
 ///
 /// # Errors
 /// A field that is no positive number.
@@ -208,7 +209,11 @@ pub(super) fn told_sigma(
     for (sigma, column) in sigma.iter_mut().zip(columns) {
         *sigma = table.positive_or(row, column, f64::NAN)?;
     }
-    Ok(sigma.iter().all(|s| s.is_finite()).then_some(sigma))
+    if sigma.iter().all(|s| s.is_nan()) {
+        return Ok(None);
+    }
+    let default = Defaults::default().position_m;
+    Ok(Some(sigma.map(|s| if s.is_nan() { default } else { s })))
 }
 
 /// The columns of coordinates and their standard deviations.

@@ -77,10 +77,50 @@ pub(super) fn is_called(title: &str, name: &str) -> bool {
     normal(title) == normal(name)
 }
 
-/// The unit in brackets of a title, as a number of metres or degrees, or why it is refused; 1 where there is none, or one of something else.
+/// Units of length at the end of a title: `elevation_ft`, `sigma_xy_mm`.
+const ENDINGS: [&str; 16] = [
+    "mm",
+    "cm",
+    "dm",
+    "km",
+    "m",
+    "meter",
+    "meters",
+    "metre",
+    "metres",
+    "us_survey_ft",
+    "us_ft",
+    "usft",
+    "ftus",
+    "ft",
+    "feet",
+    "foot",
+];
+
+/// What a name in metres, as it is compared, begins with, and the unit at its end.
+fn name_and_ending(name: &str) -> Option<(&str, &'static str)> {
+    let cut =
+        |ending: &&'static str| Some((name.strip_suffix(*ending)?.strip_suffix('_')?, *ending));
+    ENDINGS.iter().find_map(cut)
+}
+
+/// The unit in brackets or at the end of a title, as a number of metres or degrees, or why it is refused; 1 where there is
+/// none, or one of something else.
 fn unit(title: &str) -> Result<f64, &'static str> {
-    let Some(open) = title.find(['(', '[']) else { return Ok(1.0) };
-    let word = title[open + 1..].trim_end().trim_end_matches([')', ']']).trim().to_lowercase();
+    let name = normal(title);
+    let bracket = title.find(['(', '[']).map(|open| {
+        let inside = &title[open + 1..];
+        inside.split([')', ']']).next().unwrap_or(inside).trim().to_lowercase()
+    });
+    let ending = || name_and_ending(&name).map(|(_, ending)| ending.to_owned());
+    let Some(word) = bracket.or_else(ending) else { return Ok(1.0) };
+    let is_foot = |part: &str| {
+        ["ft", "usft", "ftus", "sft", "ussft", "ift"].contains(&part)
+            || ["feet", "foot"].iter().any(|foot| part.contains(foot))
+    };
+    if word.split(|c: char| !c.is_alphanumeric()).any(is_foot) {
+        return Err("feet: there are two that differ, so convert to metres");
+    }
     match word.as_str() {
         "mm" => Ok(0.001),
         "cm" => Ok(0.01),
@@ -88,9 +128,6 @@ fn unit(title: &str) -> Result<f64, &'static str> {
         "km" => Ok(1000.0),
         "rad" | "radian" | "radians" => Ok(1f64.to_degrees()),
         "gon" | "grad" | "gradian" | "gradians" => Ok(0.9),
-        "ft" | "feet" | "foot" | "us-ft" | "us ft" | "usft" | "ftus" | "us survey feet" | "ift" => {
-            Err("feet: there are two that differ, so convert to metres")
-        }
         "yd" | "yard" | "yards" | "in" | "inch" | "inches" | "mi" | "mile" | "miles" | "nmi" => {
             Err("a unit that is not read: convert to metres")
         }
@@ -280,11 +317,21 @@ impl Table {
         &self.header[column.0]
     }
 
-    /// The column of one of these names, letters' case and units aside.
+    /// The column of one of these names, letters' case and units aside. Where the first is in metres, a name may also end in
+    /// another unit of length.
     pub(super) fn column(&self, names: &[&str]) -> Option<Column> {
         let titles: Vec<String> = self.header.iter().map(|title| normal(title)).collect();
         let place = |name: &&str| titles.iter().position(|title| *title == normal(name));
-        names.iter().find_map(place).map(Column)
+        let is_length = names.first().is_some_and(|name| name.ends_with("_m"));
+        let in_other_unit = |name: &&str| {
+            let name = normal(name);
+            let begin = name.strip_suffix("_m").unwrap_or(&name);
+            titles
+                .iter()
+                .position(|title| name_and_ending(title).is_some_and(|(of, _)| of == begin))
+        };
+        let other = || names.iter().filter(|_| is_length).find_map(in_other_unit);
+        names.iter().find_map(place).or_else(other).map(Column)
     }
 
     /// As [`Table::column`], where there must be one.
@@ -327,7 +374,7 @@ impl Table {
         self.cell(row.first + column.0)
     }
 
-    /// The field as a number, in metres or degrees where the title has another unit in brackets; `None` where it is none.
+    /// The field as a number, in metres or degrees where the title has another unit; `None` where it is none.
     pub(super) fn parse(&self, row: &Row, column: Column) -> Option<f64> {
         let number = separator::number(self.text(row, column), self.decimal_comma)?;
         let side = self.sides[column.0].map_or("", |side| self.text(row, side));

@@ -100,3 +100,20 @@ fn units_of_titles_are_converted_or_refused() {
         assert!(error.contains(expected), "{error}");
     }
 }
+
+#[test]
+fn units_may_end_a_title() {
+    let table = read(
+        b"name,sigma_xy_mm,easting_cm,altitude_ft,z (US survey foot),drift (left)\na,20,250,3,4,5\n",
+    );
+    let number = |names: &[&str]| table.number(&table.rows()[0], table.column(names).unwrap());
+    assert_eq!(number(&["sigma_xy_m", "accuracy_xy"]).unwrap(), 0.02);
+    assert_eq!(number(&["easting_m"]).unwrap(), 2.5);
+    assert_eq!(number(&["drift"]).unwrap(), 5.0);
+    for names in [&["height_m", "altitude"], &["z_m", "z"]] {
+        let error = number(names).unwrap_err().to_string();
+        assert!(error.contains("has feet"), "{error}");
+    }
+    // Of pixels a length is none.
+    assert_eq!(table.column(&["easting_px", "easting"]), None);
+}
