@@ -388,10 +388,16 @@ pub(super) fn unnamed(
         }
         any && all
     };
-    // The first column is the name even where names are numbers.
-    let name = all.iter().position(|column| !is_number(column)).unwrap_or(0);
-    let numbers: Vec<Column> =
-        all[name + 1..].iter().take_while(|column| is_number(column)).copied().collect();
+    let numbers_after = |name: usize| -> Vec<Column> {
+        all[name + 1..].iter().take_while(|column| is_number(column)).copied().collect()
+    };
+    // The first column is the name even where names are numbers: also where the only text is a code behind the height.
+    let mut name = all.iter().position(|column| !is_number(column)).unwrap_or(0);
+    let mut numbers = numbers_after(name);
+    let is_whole = |row: &Row| table.parse(row, all[0]).is_some_and(|v| v.fract() == 0.0);
+    if numbers.len() < 2 && numbers_after(0).len() >= 3 && table.rows().iter().all(is_whole) {
+        (name, numbers) = (0, numbers_after(0));
+    }
     let [a, b, more @ ..] = numbers.as_slice() else {
         return Err(table.whole_fault(
             "it has no header, and no name followed by coordinates: expected a header, such as label, easting_m, northing_m, height_m".into(),

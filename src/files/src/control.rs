@@ -121,11 +121,13 @@ impl Control {
 ///
 /// # Errors
 /// Missing columns, fields that are no numbers, names that are there twice, degrees given as metres.
-pub fn ground_points(path: &Path, defaults: &Defaults) -> Result<Vec<GroundPoint>, FileError> {
+pub fn ground_points(path: &Path, defaults: &Defaults) -> Result<Control, FileError> {
     let table = Table::read(path)?;
     let label = table.required("name of the point", LABEL)?;
     let coordinates = Coordinates::in_metres(&table)?;
-    points(&table, label, &coordinates, defaults)
+    let ground = points(&table, label, &coordinates, defaults)?;
+    let has_axes = table.column(&["axes"]).is_some();
+    Ok(Control { crs: system(&table)?, has_axes, ground, ..Control::default() })
 }
 
 /// Reads ground points, in metres or degrees, from a table with a header or without one. `photos_deg` is about where photos
@@ -249,7 +251,8 @@ fn nothing_matches(aside: &[Excluded], names: &Names<'_>) -> String {
     )
 }
 
-/// Reads camera positions; those of images that are not in the block are set aside by name.
+/// Reads camera positions; those of images that are not in the block are set aside by name. Also the words by which the
+/// table names its reference system.
 ///
 /// # Errors
 /// Missing columns, fields that are no numbers, an image that is there twice, degrees, no image that
@@ -258,7 +261,7 @@ pub fn positions(
     path: &Path,
     names: &Names<'_>,
     defaults: &Defaults,
-) -> Result<(Vec<CameraPosition>, Vec<Excluded>), FileError> {
+) -> Result<(Vec<CameraPosition>, Vec<Excluded>, Option<String>), FileError> {
     let table = Table::read(path)?;
     let image = table.required("image", IMAGE)?;
     let coordinates = Coordinates::in_metres(&table)?;
@@ -282,7 +285,7 @@ pub fn positions(
     if found.is_empty() {
         return Err(table.whole_fault(nothing_matches(&aside, names)));
     }
-    Ok((found, aside))
+    Ok((found, aside, system(&table)?))
 }
 
 /// Reads scale bars.
@@ -336,7 +339,7 @@ mod tests {
             text += &format!("{name},{},4480143.2,182.1,{role}\n", 500_670 + 20 * k);
         }
         std::fs::write(&path, &text).unwrap();
-        let points = ground_points(&path, &Defaults::default()).unwrap();
+        let points = ground_points(&path, &Defaults::default()).unwrap().ground;
         let found: Vec<Role> = points.iter().map(|point| point.role).collect();
         assert_eq!(found, rows.map(|(.., role)| role));
         // Without the column names alone tell.
@@ -347,13 +350,14 @@ mod tests {
             .map(|line| format!("{}\n", line.trim_end_matches(',')))
             .collect();
         std::fs::write(&path, bare).unwrap();
-        let points = ground_points(&path, &Defaults::default()).unwrap();
+        let points = ground_points(&path, &Defaults::default()).unwrap().ground;
         let checks: Vec<&str> =
             points.iter().filter(|p| p.role == Role::Check).map(|p| p.name.as_str()).collect();
         assert_eq!(checks, ["CHK-B", "CHK-C"]);
         let points = |text: &str| {
             std::fs::write(&path, text).unwrap();
-            ground_points(&path, &Defaults::default()).map_err(|error| error.to_string())
+            let read = ground_points(&path, &Defaults::default());
+            read.map(|read| read.ground).map_err(|error| error.to_string())
         };
         for (word, role, axes) in [
             ("Check Point", Role::Check, Axes::Xyz),
@@ -378,5 +382,20 @@ mod tests {
         std::fs::write(&path, "label,easting_m,northing_m,height_m,role\nA,1,2,3,chek\n").unwrap();
         let error = ground_points(&path, &Defaults::default()).unwrap_err().to_string();
         assert!(error.contains("gcps.csv") && error.contains("chek"), "{error}");
+    }
+
+    #[test]
+    fn numbered_points_may_have_a_code_behind_their_height() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("gcps.csv");
+        let text = "1,4480143.7,500671.98,182.09,GCP\n2,4480163.7,500691.98,182.19,GCP\n";
+        std::fs::write(&path, text).unwrap();
+        let found = read(&path, &Defaults::default(), None, true).unwrap().ground;
+        let first = (found[0].name.as_str(), found[0].position_m);
+        assert_eq!(first, ("1", [500_671.98, 4_480_143.7, 182.09]));
+        // Coordinates with the name behind them are no numbered points.
+        std::fs::write(&path, "500671.98,4480143.7,182.09,A\n500691.98,4480163.7,182.19,B\n")
+            .unwrap();
+        assert!(read(&path, &Defaults::default(), None, true).is_err());
     }
 }
