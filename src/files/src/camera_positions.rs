@@ -83,6 +83,10 @@ pub(super) fn is_geographic(words: &str) -> Result<bool, String> {
             "its degrees are of {words}, which is not the datum of receivers and may be hundreds of metres from it; transform them to WGS84 (EPSG:4326), or to metres of a projected system"
         )),
         Ok(crs) => Ok(crs.is_geographic()),
+        // NAD27: its datum is known by a grid only.
+        Err(error) if error.to_string().contains("grid not available") => Err(format!(
+            "{error}; transform its coordinates to WGS84 (EPSG:4326), or to metres of another system"
+        )),
         Err(_) => Ok(false),
     }
 }

@@ -86,6 +86,7 @@ fn what_is_missing_is_named() {
         ("image,lat,lon\na,x,1\n", "lat is \"x\""),
         ("a,b\nc,d\n", "image"),
         ("image,lat,lon\na,1,2\na,1,3\n", "a is there twice"),
+        ("EPSG:4267\nimage,lat,lon\na,1,2\n", "to WGS84 (EPSG:4326)"),
         ("EPSG:4314\nimage,lat,lon\na,1,2\n", "transform them to WGS84"),
         ("", "empty"),
     ] {
