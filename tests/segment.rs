@@ -111,7 +111,7 @@ fn bad_input_is_explained() {
     assert_snapshot!(error("empty.png -o new.png"), @"error: empty.png: the file is empty, expected a PNG, JPEG or TIFF picture");
     assert_snapshot!(error("mask.png -o new.png"), @"error: mask.png: it holds a mask (two values), expected a photo");
     assert_snapshot!(error("none.png -o new.png"), @"error: cannot read none.png: No such file or directory (os error 2)");
-    assert_snapshot!(error(". -o results"), @"error: there is no orthomosaic");
+    assert_snapshot!(error(". -o results"), @"error: there is no orthomosaic in results/ortho; make one with rowgram ortho");
     assert_snapshot!(error("photo.png -o taken.png"), @"error: taken.png exists already; give --force to replace it, or another path");
     assert_snapshot!(error("photo.png -o taken.png --figures figures"), @"error: taken.png exists already; give --force to replace it, or another path");
     assert_snapshot!(error("photo.png -o photo.png --force"), @"error: photo.png is an input, expected another output");

@@ -18,7 +18,7 @@ pub(super) struct ModelArgs {
     #[arg(long, value_name = "FILE")]
     camera: Vec<PathBuf>,
     /// Added to all coordinates of a model whose origin is elsewhere: east, north, up, metres.
-    #[arg(long, value_name = "E,N,U", value_delimiter = ',', allow_negative_numbers = true)]
+    #[arg(long, value_name = "E,N,U", value_delimiter = ',', allow_hyphen_values = true)]
     offset: Vec<f64>,
     /// Coordinate reference system of the model: EPSG:<code> or a PROJ string.
     #[arg(long, value_name = "CRS")]

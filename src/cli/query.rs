@@ -29,7 +29,7 @@ pub(super) struct Args {
         long,
         value_name = "X,Y",
         value_delimiter = ',',
-        allow_negative_numbers = true,
+        allow_hyphen_values = true,
         required_unless_present_any = ["photo", "write"],
         conflicts_with = "photo"
     )]
@@ -45,7 +45,7 @@ pub(super) struct Args {
         long,
         value_name = "U,V",
         value_delimiter = ',',
-        allow_negative_numbers = true,
+        allow_hyphen_values = true,
         requires = "photo"
     )]
     pixel: Vec<f64>,

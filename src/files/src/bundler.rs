@@ -16,7 +16,7 @@
 use super::{
     FileError,
     memory::read_text,
-    model::Model,
+    model::{Model, names_once},
     output,
     words::{Fault, Words},
 };
@@ -32,7 +32,19 @@ pub fn is_one(text: &[u8]) -> bool {
     text.starts_with(b"# Bundle file")
 }
 
-/// Reads a block. `list` names the images, one a line (what follows the name is left out); without
+/// The name in a line of the list: numbers may follow it (0 and the focal length), and it may have blanks.
+fn name_of_line(line: &str) -> Option<String> {
+    let mut name = line.trim();
+    for _ in 0..2 {
+        match name.rsplit_once(char::is_whitespace) {
+            Some((begin, last)) if last.parse::<f64>().is_ok() => name = begin.trim_end(),
+            _ => break,
+        }
+    }
+    (!name.is_empty()).then(|| name.to_owned())
+}
+
+/// Reads a block. `list` names the images, one a line (numbers behind the name are left out); without
 /// it they are called `00000000.jpg` and so on.
 ///
 /// # Errors
@@ -42,8 +54,7 @@ pub fn read(path: &Path, list: Option<&Path>, size_px: [u32; 2]) -> Result<Model
     let names: Option<Vec<String>> = match list {
         Some(list) => {
             let lines = read_text(list)?;
-            let first = |line: &str| line.split_ascii_whitespace().next().map(str::to_owned);
-            Some(lines.lines().filter_map(first).collect())
+            Some(lines.lines().filter_map(name_of_line).collect())
         }
         None => None,
     };
@@ -133,6 +144,7 @@ fn parse(text: &str, names: Option<&[String]>, size_px: [u32; 2]) -> Result<Mode
         }
     }
     words.end()?;
+    names_once(&model.survey).map_err(|message| (None, message))?;
     Ok(model)
 }
 
@@ -238,5 +250,27 @@ fn as_bundler(interior: &Interior) -> Option<[f64; 3]> {
             plain.then(|| [v[0], v[4], v[5]])
         }
         LensModel::Smac | LensModel::Fisheye => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_the_list_may_have_blanks_and_are_there_once() {
+        for (line, name) in [
+            ("IMG 0001.jpg", "IMG 0001.jpg"),
+            ("a b.jpg 0 3250.5", "a b.jpg"),
+            ("  a.jpg 0", "a.jpg"),
+        ] {
+            assert_eq!(name_of_line(line).as_deref(), Some(name), "{line}");
+        }
+        let camera = "100 0 0\n1 0 0\n0 1 0\n0 0 1\n0 0 0\n";
+        let text = format!("# Bundle file v0.3\n2 0\n{camera}{camera}");
+        let read = |names: [&str; 2]| parse(&text, Some(&names.map(str::to_owned)), [40, 30]);
+        assert!(read(["a.jpg", "b.jpg"]).is_ok());
+        let (_, message) = read(["a.jpg", "a.jpg"]).unwrap_err();
+        assert!(message.contains("two images are called \"a.jpg\""), "{message}");
     }
 }

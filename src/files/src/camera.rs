@@ -61,9 +61,9 @@ fn term(lens: &Interior, name: &str) -> f64 {
     lens.value(name).unwrap_or(0.0)
 }
 
-/// Whether the rational terms are used.
+/// Whether the rational terms are used: those of Brown's model; the fisheye has a k4 of its own.
 fn is_rational(lens: &Interior) -> bool {
-    ["k4", "k5", "k6"].iter().any(|name| term(lens, name) != 0.0)
+    lens.model() == Model::Brown && ["k4", "k5", "k6"].iter().any(|name| term(lens, name) != 0.0)
 }
 
 /// A lens of Brown's model or a fisheye in the words of a program.
@@ -193,4 +193,23 @@ fn opensfm(lens: &Interior, name: &str, fisheye: bool) -> Result<String, String>
     let key = if name.is_empty() { "rowgram" } else { name };
     let all = serde_json::json!({ key: camera });
     serde_json::to_string_pretty(&all).map(|text| text + "\n").map_err(|error| error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_k4_of_a_fisheye_is_not_that_of_the_rational_model() {
+        let fisheye = [50.0, 1.0, 20.0, 15.0, 0.1, 0.0, 0.0, 0.01];
+        let fisheye = Interior::new(Model::Fisheye, [40, 30], &fisheye).unwrap();
+        let mut brown = vec![50.0, 1.0, 20.0, 15.0];
+        brown.resize(Model::Brown.parameters().len(), 0.0);
+        brown[9] = 0.01;
+        let rational = Interior::new(Model::Brown, [40, 30], &brown).unwrap();
+        for program in [Program::Metashape, Program::OpenSfm] {
+            assert!(to_program(&fisheye, "lens", program).unwrap().contains("0.01"));
+            assert!(to_program(&rational, "lens", program).is_err());
+        }
+    }
 }

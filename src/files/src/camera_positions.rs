@@ -13,6 +13,7 @@ use super::{
     photo::Geotag,
     table::{Row, Table, decode},
 };
+use rowgram_raster::crs::Crs;
 use std::{collections::HashMap, path::Path};
 
 /// Which photo a row is of.
@@ -72,19 +73,27 @@ pub fn read(path: &Path, photos_deg: Option<[f64; 2]>) -> Result<CameraPlaces, F
     }
 }
 
-/// The words of a reference system in degrees.
-pub(super) fn is_geographic(words: &str) -> bool {
-    let upper = words.trim().to_ascii_uppercase().replace("::", ":");
-    let codes =
-        ["EPSG:4326", "EPSG:4979", "EPSG:4269", "EPSG:4258", "EPSG:6318", "EPSG:6319", "EPSG:7844"];
-    codes.contains(&upper.as_str())
-        || upper.contains("+PROJ=LONGLAT")
-        || upper.contains("+PROJ=LATLONG")
-        || ["WGS84", "WGS 84", "WGS84 LATLON", "WGS84 LAT/LON"].contains(&upper.as_str())
+/// Whether words name a reference system in degrees, which are taken as those of WGS84.
+///
+/// # Errors
+/// Degrees of a datum that is up to hundreds of metres from WGS84.
+pub(super) fn is_geographic(words: &str) -> Result<bool, String> {
+    match Crs::of_words(words) {
+        Ok(crs) if crs.is_geographic() && !crs.is_global() => Err(format!(
+            "its degrees are of {words}, which is not the datum of receivers and may be hundreds of metres from it; transform them to WGS84 (EPSG:4326), or to metres of a projected system"
+        )),
+        Ok(crs) => Ok(crs.is_geographic()),
+        // NAD27: its datum is known by a grid only.
+        Err(error) if error.to_string().contains("grid not available") => Err(format!(
+            "{error}; transform its coordinates to WGS84 (EPSG:4326), or to metres of another system"
+        )),
+        Err(_) => Ok(false),
+    }
 }
 
 fn read_table(path: &Path, photos_deg: Option<[f64; 2]>) -> Result<CameraPlaces, FileError> {
     let table = Table::read(path)?;
+    table.system().map(is_geographic).transpose().map_err(|why| table.whole_fault(why))?;
     let mut choice = None;
     let (image, found) = if table.is_named() {
         (table.required("image", columns::IMAGE)?, Coordinates::of(&table)?)
@@ -244,7 +253,7 @@ impl CameraPlaces {
     /// Whether any place is in metres of the table's system.
     pub fn needs_system(&self) -> bool {
         self.rows.iter().any(|row| matches!(row.place, Place::Metres(_)))
-            && !self.system.as_deref().is_some_and(is_geographic)
+            && !self.system.as_deref().is_some_and(|words| is_geographic(words) == Ok(true))
     }
 }
 

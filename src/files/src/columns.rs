@@ -1,6 +1,7 @@
 //! Words by which other programs call the columns of their tables; the first of each list is our own.
 
 use super::FileError;
+use super::control::Defaults;
 use super::table::{Column, Row, Table};
 use rowgram_optim::robust::median;
 
@@ -195,7 +196,7 @@ pub(super) fn sigmas(table: &Table) -> [Option<Column>; 3] {
     [of(SIGMA_EAST, SIGMA_PLAN), of(SIGMA_NORTH, SIGMA_PLAN), of(SIGMA_UP, &[])]
 }
 
-/// The standard deviations of a row, where it has all three.
+/// The standard deviations of a row that has any; an axis without one has that of a receiver alone.
 ///
 /// # Errors
 /// A field that is no positive number.
@@ -208,7 +209,11 @@ pub(super) fn told_sigma(
     for (sigma, column) in sigma.iter_mut().zip(columns) {
         *sigma = table.positive_or(row, column, f64::NAN)?;
     }
-    Ok(sigma.iter().all(|s| s.is_finite()).then_some(sigma))
+    if sigma.iter().all(|s| s.is_nan()) {
+        return Ok(None);
+    }
+    let default = Defaults::default().position_m;
+    Ok(Some(sigma.map(|s| if s.is_nan() { default } else { s })))
 }
 
 /// The columns of coordinates and their standard deviations.
@@ -383,10 +388,16 @@ pub(super) fn unnamed(
         }
         any && all
     };
-    // The first column is the name even where names are numbers.
-    let name = all.iter().position(|column| !is_number(column)).unwrap_or(0);
-    let numbers: Vec<Column> =
-        all[name + 1..].iter().take_while(|column| is_number(column)).copied().collect();
+    let numbers_after = |name: usize| -> Vec<Column> {
+        all[name + 1..].iter().take_while(|column| is_number(column)).copied().collect()
+    };
+    // The first column is the name even where names are numbers: also where the only text is a code behind the height.
+    let mut name = all.iter().position(|column| !is_number(column)).unwrap_or(0);
+    let mut numbers = numbers_after(name);
+    let is_whole = |row: &Row| table.parse(row, all[0]).is_some_and(|v| v.fract() == 0.0);
+    if numbers.len() < 2 && numbers_after(0).len() >= 3 && table.rows().iter().all(is_whole) {
+        (name, numbers) = (0, numbers_after(0));
+    }
     let [a, b, more @ ..] = numbers.as_slice() else {
         return Err(table.whole_fault(
             "it has no header, and no name followed by coordinates: expected a header, such as label, easting_m, northing_m, height_m".into(),

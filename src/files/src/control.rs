@@ -5,7 +5,7 @@
 //!
 //! | file | columns |
 //! |---|---|
-//! | ground points | `label`, `easting_m`, `northing_m`, `height_m`; optional `sigma_x_m`, `sigma_y_m` or `Accuracy_Horizontal`, `sigma_z_m` or `Accuracy_Vertical`, `role` (control, check, tie; without one a label that begins with `CHK-` is a check point), `axes` (xyz, xy, z) |
+//! | ground points | `label`, `easting_m`, `northing_m`, `height_m`; optional `sigma_x_m`, `sigma_y_m` or `Accuracy_Horizontal`, `sigma_z_m` or `Accuracy_Vertical`, `role` (control, check, tie; without one a label that begins with `CHK-` is a check point), `enabled` (0: a check point), `axes` (xyz, xy, z) |
 //! | marks | `image`, `label`, `u_px`, `v_px`; optional `sigma_px`, `source` (`found` for those that a program found) |
 //! | camera positions | `image`, `easting_m`, `northing_m`, `height_m`; optional standard deviations as above |
 //! | scale bars | `from`, `to`, `length_m`; optional `sigma_m` |
@@ -20,9 +20,10 @@ pub use marks::{MarkRow, MarkSource, MarkTable, marks};
 
 use super::{
     FileError,
+    camera_positions::is_geographic,
     columns::{self, Coordinates, IMAGE, LABEL},
     image_names::Names,
-    table::{Column, Table, is_called},
+    table::{Column, Table},
 };
 use rowgram_survey::scene::{
     Axes, CameraPosition, Excluded, ExcludedKind, GroundPoint, Role, ScaleBar,
@@ -31,6 +32,27 @@ use std::{collections::HashSet, path::Path};
 
 /// What a point is for; other programs call it a type.
 const ROLE: &[&str] = &["role", "type", "point_type", "gcp_type"];
+/// Whether a point takes part. A point that is switched off in Metashape is a check point.
+const ENABLED: &[&str] = &["enabled", "enable"];
+
+/// Whether the name of a point says that it is a check point.
+pub(super) fn is_check_name(name: &str) -> bool {
+    name.get(..4).is_some_and(|begin| begin.eq_ignore_ascii_case("CHK-"))
+}
+
+/// What a word says that a point is for, and the coordinates that it says are known: `2D GCP`, `Check points`, `Checkpoint 3D`.
+fn role_of(word: &str) -> Option<(Role, Axes)> {
+    let letters = word.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase);
+    let letters: String = letters.collect();
+    let axes = if letters.contains("2d") { Axes::Xy } else { Axes::Xyz };
+    let role = match letters.replace("2d", "").replace("3d", "").trim_end_matches('s') {
+        check if check.starts_with("check") || check == "cp" => Role::Check,
+        "control" | "gcp" | "controlpoint" | "groundcontrolpoint" => Role::Control,
+        "tie" | "tiepoint" | "mtp" | "manualtiepoint" => Role::Tie,
+        _ => return None,
+    };
+    Some((role, axes))
+}
 
 /// Standard deviations where a file has none.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -99,11 +121,13 @@ impl Control {
 ///
 /// # Errors
 /// Missing columns, fields that are no numbers, names that are there twice, degrees given as metres.
-pub fn ground_points(path: &Path, defaults: &Defaults) -> Result<Vec<GroundPoint>, FileError> {
+pub fn ground_points(path: &Path, defaults: &Defaults) -> Result<Control, FileError> {
     let table = Table::read(path)?;
     let label = table.required("name of the point", LABEL)?;
     let coordinates = Coordinates::in_metres(&table)?;
-    points(&table, label, &coordinates, defaults)
+    let ground = points(&table, label, &coordinates, defaults)?;
+    let has_axes = table.column(&["axes"]).is_some();
+    Ok(Control { crs: system(&table)?, has_axes, ground, ..Control::default() })
 }
 
 /// Reads ground points, in metres or degrees, from a table with a header or without one. `photos_deg` is about where photos
@@ -118,7 +142,7 @@ pub fn read(
     knows_system: bool,
 ) -> Result<Control, FileError> {
     let table = Table::read(path)?;
-    let crs = table.system().map(str::to_owned);
+    let crs = system(&table)?;
     let has_axes = table.column(&["axes"]).is_some();
     let (label, mut coordinates, choice) = if table.is_named() {
         let label = table.required("name of the point", LABEL)?;
@@ -140,13 +164,20 @@ pub fn read(
     Ok(Control { crs, geographic, has_axes, ground, marks: Vec::new(), choice })
 }
 
+/// The words by which a table names a reference system in metres, or degrees of WGS84.
+fn system(table: &Table) -> Result<Option<String>, FileError> {
+    let Some(words) = table.system() else { return Ok(None) };
+    is_geographic(words).map_err(|why| table.whole_fault(why))?;
+    Ok(Some(words.to_owned()))
+}
+
 fn points(
     table: &Table,
     label: Column,
     coordinates: &Coordinates,
     defaults: &Defaults,
 ) -> Result<Vec<GroundPoint>, FileError> {
-    let (role, axes) = (table.column(ROLE), table.column(&["axes"]));
+    let [role, axes, enabled] = [ROLE, &["axes"], ENABLED].map(|names| table.column(names));
     let mut points = Vec::new();
     let mut names = HashSet::new();
     for row in table.rows() {
@@ -158,21 +189,28 @@ fn points(
             return Err(table.fault(row, format!("{name} is there twice")));
         }
         let word = |column: Option<Column>| column.map_or("", |c| table.text(row, c));
-        let is_role = role.is_some_and(|column| is_called(table.title(column), ROLE[0]));
-        let role = match word(role).to_ascii_lowercase().replace(['_', '-'], " ").as_str() {
-            "" if name.starts_with("CHK-") => Role::Check,
-            "" | "control" | "gcp" | "control point" | "3d gcp" => Role::Control,
-            "check" | "check point" | "checkpoint" | "cp" => Role::Check,
-            "tie" | "tie point" | "mtp" | "manual tie point" => Role::Tie,
-            // What kind of a target it is.
-            _ if !is_role => Role::Control,
-            other => {
-                let message = format!("role is {other:?}, expected control, check or tie");
-                return Err(table.fault(row, message));
-            }
+        let (mut role, stated) = match word(role) {
+            "" if is_check_name(&name) => (Role::Check, Axes::Xyz),
+            "" => (Role::Control, Axes::Xyz),
+            other => role_of(other).ok_or_else(|| {
+                let title = role.map_or("role", |column| table.title(column));
+                let message = format!(
+                    "{title} is {other:?}, expected control, check or tie; rename the column where it says something else"
+                );
+                table.fault(row, message)
+            })?,
         };
+        match word(enabled).to_ascii_lowercase().as_str() {
+            "" | "1" | "true" | "yes" => {}
+            "0" | "false" | "no" if role == Role::Control => role = Role::Check,
+            "0" | "false" | "no" => {}
+            other => {
+                return Err(table.fault(row, format!("enabled is {other:?}, expected 1 or 0")));
+            }
+        }
         let axes = match word(axes).to_ascii_lowercase().as_str() {
-            "" | "xyz" => Axes::Xyz,
+            "" => stated,
+            "xyz" => Axes::Xyz,
             "xy" => Axes::Xy,
             "z" => Axes::Z,
             other => {
@@ -213,7 +251,8 @@ fn nothing_matches(aside: &[Excluded], names: &Names<'_>) -> String {
     )
 }
 
-/// Reads camera positions; those of images that are not in the block are set aside by name.
+/// Reads camera positions; those of images that are not in the block are set aside by name. Also the words by which the
+/// table names its reference system.
 ///
 /// # Errors
 /// Missing columns, fields that are no numbers, an image that is there twice, degrees, no image that
@@ -222,7 +261,7 @@ pub fn positions(
     path: &Path,
     names: &Names<'_>,
     defaults: &Defaults,
-) -> Result<(Vec<CameraPosition>, Vec<Excluded>), FileError> {
+) -> Result<(Vec<CameraPosition>, Vec<Excluded>, Option<String>), FileError> {
     let table = Table::read(path)?;
     let image = table.required("image", IMAGE)?;
     let coordinates = Coordinates::in_metres(&table)?;
@@ -246,7 +285,7 @@ pub fn positions(
     if found.is_empty() {
         return Err(table.whole_fault(nothing_matches(&aside, names)));
     }
-    Ok((found, aside))
+    Ok((found, aside, system(&table)?))
 }
 
 /// Reads scale bars.
@@ -300,7 +339,7 @@ mod tests {
             text += &format!("{name},{},4480143.2,182.1,{role}\n", 500_670 + 20 * k);
         }
         std::fs::write(&path, &text).unwrap();
-        let points = ground_points(&path, &Defaults::default()).unwrap();
+        let points = ground_points(&path, &Defaults::default()).unwrap().ground;
         let found: Vec<Role> = points.iter().map(|point| point.role).collect();
         assert_eq!(found, rows.map(|(.., role)| role));
         // Without the column names alone tell.
@@ -311,18 +350,52 @@ mod tests {
             .map(|line| format!("{}\n", line.trim_end_matches(',')))
             .collect();
         std::fs::write(&path, bare).unwrap();
-        let points = ground_points(&path, &Defaults::default()).unwrap();
+        let points = ground_points(&path, &Defaults::default()).unwrap().ground;
         let checks: Vec<&str> =
             points.iter().filter(|p| p.role == Role::Check).map(|p| p.name.as_str()).collect();
         assert_eq!(checks, ["CHK-B", "CHK-C"]);
-        // As other programs write it, and a type of something else.
-        let types = "label,easting_m,northing_m,height_m,type\nA,1,2,3,Check Point\nB,9,2,3,3D GCP\nC,9,9,3,cross\n";
-        std::fs::write(&path, types).unwrap();
-        let points = ground_points(&path, &Defaults::default()).unwrap();
-        let found: Vec<Role> = points.iter().map(|point| point.role).collect();
-        assert_eq!(found, [Role::Check, Role::Control, Role::Control]);
+        let points = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            let read = ground_points(&path, &Defaults::default());
+            read.map(|read| read.ground).map_err(|error| error.to_string())
+        };
+        for (word, role, axes) in [
+            ("Check Point", Role::Check, Axes::Xyz),
+            ("Check points", Role::Check, Axes::Xyz),
+            ("Checkpoint 3D", Role::Check, Axes::Xyz),
+            ("3D GCP", Role::Control, Axes::Xyz),
+            ("2D GCP", Role::Control, Axes::Xy),
+            ("Manual Tie Point", Role::Tie, Axes::Xyz),
+        ] {
+            let found =
+                points(&format!("label,easting_m,northing_m,height_m,type\nA,1,2,3,{word}\n"));
+            let point = found.unwrap().remove(0);
+            assert_eq!((point.role, point.axes), (role, axes), "{word}");
+        }
+        let error =
+            points("label,easting_m,northing_m,height_m,type\nA,1,2,3,cross\n").unwrap_err();
+        assert!(error.contains("type is \"cross\"") && error.contains("line 2"), "{error}");
+        let switched =
+            "label,enable,easting_m,northing_m,height_m\nA,0,1,2,3\nchk-B,1,9,2,3\nC,true,5,2,3\n";
+        let found: Vec<Role> = points(switched).unwrap().iter().map(|point| point.role).collect();
+        assert_eq!(found, [Role::Check, Role::Check, Role::Control]);
         std::fs::write(&path, "label,easting_m,northing_m,height_m,role\nA,1,2,3,chek\n").unwrap();
         let error = ground_points(&path, &Defaults::default()).unwrap_err().to_string();
         assert!(error.contains("gcps.csv") && error.contains("chek"), "{error}");
+    }
+
+    #[test]
+    fn numbered_points_may_have_a_code_behind_their_height() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("gcps.csv");
+        let text = "1,4480143.7,500671.98,182.09,GCP\n2,4480163.7,500691.98,182.19,GCP\n";
+        std::fs::write(&path, text).unwrap();
+        let found = read(&path, &Defaults::default(), None, true).unwrap().ground;
+        let first = (found[0].name.as_str(), found[0].position_m);
+        assert_eq!(first, ("1", [500_671.98, 4_480_143.7, 182.09]));
+        // Coordinates with the name behind them are no numbered points.
+        std::fs::write(&path, "500671.98,4480143.7,182.09,A\n500691.98,4480163.7,182.19,B\n")
+            .unwrap();
+        assert!(read(&path, &Defaults::default(), None, true).is_err());
     }
 }

@@ -10,7 +10,7 @@ use super::{
     FileError,
     camera_positions::is_geographic,
     columns::latitude_first,
-    control::{Control, Defaults, NamedMark},
+    control::{Control, Defaults, NamedMark, is_check_name},
     table::decode,
 };
 use rowgram_survey::scene::{Axes, GroundPoint, Role};
@@ -56,7 +56,7 @@ fn parse(text: &str, defaults: &Defaults) -> Result<Control, (usize, String)> {
         }
         if control.crs.is_none() {
             control.crs = Some(line.to_owned());
-            control.geographic = is_geographic(line);
+            control.geographic = is_geographic(line).map_err(|why| (number, why))?;
             continue;
         }
         let fields: Vec<&str> = line.split_whitespace().collect();
@@ -90,7 +90,7 @@ fn parse(text: &str, defaults: &Defaults) -> Result<Control, (usize, String)> {
                 let at = places.len();
                 places.push(position);
                 let name = name.unwrap_or_else(|| format!("gcp{:02}", at + 1));
-                let check = name.starts_with("CHK-");
+                let check = is_check_name(&name);
                 control.ground.push(GroundPoint {
                     role: if check { Role::Check } else { Role::Control },
                     name,
@@ -193,7 +193,7 @@ mod tests {
 
     #[test]
     fn a_list_of_control_points_is_read() {
-        let text = "EPSG:32611\n# a comment\n1.0 2.0 3.0 10.5 20.5 a.jpg p1\n4 5 6 1 2 b.jpg CHK-q\n\n1.0\t2.0\t3.0\t11\t21\tb.jpg\tp1\n";
+        let text = "EPSG:32611\n# a comment\n1.0 2.0 3.0 10.5 20.5 a.jpg p1\n4 5 6 1 2 b.jpg chk-q\n\n1.0\t2.0\t3.0\t11\t21\tb.jpg\tp1\n";
         let found = parse(text, &Defaults::default()).unwrap();
         assert_eq!(found.crs.as_deref(), Some("EPSG:32611"));
         assert_eq!(found.ground.len(), 2);
@@ -201,6 +201,9 @@ mod tests {
         assert_eq!(found.marks.iter().map(|m| m.ground).collect::<Vec<_>>(), [0, 1, 0]);
         let (line, message) = parse("EPSG:1\n1 2 x 4 5 a.jpg\n", &Defaults::default()).unwrap_err();
         assert!(line == 2 && message.contains("\"x\" is no number"), "{message}");
+        let (line, message) =
+            parse("EPSG:4314\n1 2 3 4 5 a.jpg\n", &Defaults::default()).unwrap_err();
+        assert!(line == 1 && message.contains("transform them to WGS84"), "{message}");
         let (line, message) =
             parse("EPSG:1\n1 2 3 4 5 a p\n1 2 4 4 5 b p\n", &Defaults::default()).unwrap_err();
         assert!(line == 3 && message.contains("other coordinates"), "{message}");

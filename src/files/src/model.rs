@@ -5,6 +5,7 @@ use rowgram_survey::{
     camera::{Interior, Lens, Model as LensModel},
     scene::{Pose, Reconstruction},
 };
+use std::collections::HashSet;
 
 /// A reconstruction as read from files.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -59,14 +60,24 @@ pub(super) fn as_brown(interior: &Interior) -> Option<[f64; 12]> {
     }
 }
 
+/// Why a block is refused whose images share a name, if they do: tables and other files name images.
+pub(super) fn names_once(survey: &Reconstruction) -> Result<(), String> {
+    let mut names = HashSet::new();
+    match survey.images.iter().find(|image| !names.insert(image.name.as_str())) {
+        None => Ok(()),
+        Some(image) => {
+            Err(format!("two images are called {:?}, expected each name once", image.name))
+        }
+    }
+}
+
 impl Model {
     /// The features of each image: as they were read, less those whose point or observation is no
     /// longer there, or else the observations.
     pub(super) fn features_to_write(&self) -> Vec<Vec<Feature>> {
         let survey = &self.survey;
         let mut of_images: Vec<Vec<Feature>> = vec![Vec::new(); survey.images.len()];
-        let mut kept: Vec<std::collections::HashSet<u64>> =
-            vec![Default::default(); of_images.len()];
+        let mut kept: Vec<HashSet<u64>> = vec![Default::default(); of_images.len()];
         for o in &survey.observations {
             let id = survey.points[o.point as usize].id;
             kept[o.image as usize].insert(id);

@@ -11,7 +11,7 @@
 
 use super::{
     FileError,
-    model::{Model, as_brown, from_computer_vision, to_computer_vision},
+    model::{Model, as_brown, from_computer_vision, names_once, to_computer_vision},
     output,
 };
 use rowgram_optim::geometry::rotation;
@@ -126,37 +126,36 @@ fn lens(camera: &Value) -> Result<Interior, String> {
     };
     let size_px = [size("width")?, size("height")?];
     let number = |key: &str| -> Result<f64, String> {
-        camera[key].as_f64().ok_or_else(|| format!("expected a number {key:?}"))
+        camera[key].as_f64().ok_or_else(|| match &camera[key] {
+            Value::Null => format!("expected a number {key:?}"),
+            other => format!("{key:?} is {other}, expected a number"),
+        })
     };
-    let or_zero = |key: &str| camera[key].as_f64().unwrap_or(0.0);
+    let or_zero = |key: &str| if camera[key].is_null() { Ok(0.0) } else { number(key) };
     let unit = unit_px(size_px);
     let centre = rowgram_survey::camera::image_centre_px(size_px);
     let kind = camera["projection_type"].as_str().unwrap_or("perspective");
+    let model = match kind {
+        "perspective" | "simple_radial" | "radial" | "brown" => LensModel::Brown,
+        "fisheye" | "fisheye_opencv" => LensModel::Fisheye,
+        other => {
+            return Err(format!(
+                "the projection type {other:?} is not supported, expected perspective, simple_radial, radial, brown, fisheye or fisheye_opencv"
+            ));
+        }
+    };
     let (fx, fy) = match kind {
         "perspective" | "fisheye" => (number("focal")?, number("focal")?),
         _ => (number("focal_x")?, number("focal_y")?),
     };
-    let principal = [centre[0] + unit * or_zero("c_x"), centre[1] + unit * or_zero("c_y")];
+    let principal = [centre[0] + unit * or_zero("c_x")?, centre[1] + unit * or_zero("c_y")?];
     let start = [unit * fx, if fx == fy { 1.0 } else { fy / fx }, principal[0], principal[1]];
-    let (model, rest) = match kind {
-        "perspective" | "simple_radial" | "radial" | "brown" => (
-            LensModel::Brown,
-            vec![
-                or_zero("k1"),
-                or_zero("k2"),
-                or_zero("p1"),
-                or_zero("p2"),
-                or_zero("k3"),
-                0.0,
-                0.0,
-                0.0,
-            ],
-        ),
-        "fisheye" | "fisheye_opencv" => {
-            (LensModel::Fisheye, vec![or_zero("k1"), or_zero("k2"), or_zero("k3"), or_zero("k4")])
-        }
-        other => return Err(format!("the projection type {other:?} is not supported")),
+    let terms: &[&str] = match model {
+        LensModel::Fisheye => &["k1", "k2", "k3", "k4"],
+        _ => &["k1", "k2", "p1", "p2", "k3"],
     };
+    let mut rest = terms.iter().map(|key| or_zero(key)).collect::<Result<Vec<f64>, String>>()?;
+    rest.resize(model.parameters().len() - start.len(), 0.0);
     let values = [start.to_vec(), rest].concat();
     Interior::new(model, size_px, &values).map_err(|error| error.to_string())
 }
@@ -213,6 +212,7 @@ fn measurements(text: &str, model: &mut Model) -> Result<(), (Option<usize>, Str
 /// A lens that the format cannot hold; otherwise as [`output::write`].
 pub fn write(path: &Path, tracks: &Path, model: &Model, force: bool) -> Result<(), FileError> {
     output::check(tracks, force)?;
+    names_once(&model.survey).map_err(|message| FileError::malformed(path, None, message))?;
     let file = to_value(model).map_err(|message| FileError::malformed(path, None, message))?;
     output::write_json(path, force, &file)?;
     let survey = &model.survey;
@@ -327,4 +327,25 @@ fn of_lens(interior: &Interior) -> Option<Value> {
         _ => return None,
     }
     Some(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lens_that_cannot_be_read_is_refused_by_its_term_or_projection() {
+        let camera = |kind: &str, k1: Value| {
+            let camera = json!({ "projection_type": kind, "width": 40, "height": 30, "focal": 0.9, "k1": k1 });
+            lens(&camera)
+        };
+        assert_eq!(camera("perspective", json!(-0.1)).unwrap().value("k1"), Some(-0.1));
+        assert_eq!(camera("fisheye", Value::Null).unwrap().value("k1"), Some(0.0));
+        let error = camera("perspective", json!("-0.1")).unwrap_err();
+        assert!(error.contains("\"k1\" is \"-0.1\""), "{error}");
+        for kind in ["spherical", "dual"] {
+            let error = camera(kind, json!(0.0)).unwrap_err();
+            assert!(error.contains(kind) && error.contains("expected perspective"), "{error}");
+        }
+    }
 }

@@ -112,7 +112,8 @@ pub fn parse(bytes: &[u8]) -> Metadata {
             from_exif(&exif, &mut found);
             xmp = xmp::of_tiff(&exif);
             // A file without a thumbnail, or with a wrong one, lacks nothing that counts.
-            let lost: Vec<String> = errors.iter().map(ToString::to_string).collect();
+            let lost = errors.iter().map(ToString::to_string);
+            let lost: Vec<String> = lost.chain([found.unread]).filter(|s| !s.is_empty()).collect();
             found.unread = lost.join(", ");
         }
         Err(exif::Error::InvalidFormat(why) | exif::Error::BlankValue(why)) => {
@@ -188,20 +189,35 @@ fn from_exif(exif: &exif::Exif, found: &mut Metadata) {
         .and_then(|v| v.get_uint(0))
         .filter(|n| (1..=8).contains(n))
         .unwrap_or(1);
-    let degrees = |tag: Tag, sign: Tag, negative: &str| -> Option<f64> {
+    let mut unsigned = Vec::new();
+    let mut degrees = |tag: Tag, reference: Tag, [positive, negative]: [char; 2]| -> Option<f64> {
         let v = value(tag)?;
         let parts = [number(v, 0)?, number(v, 1).unwrap_or(0.0), number(v, 2).unwrap_or(0.0)];
         let whole = parts[0] + parts[1] / 60.0 + parts[2] / 3600.0;
-        Some(if text(sign).eq_ignore_ascii_case(negative) { -whole } else { whole })
+        match text(reference).chars().next().map(|side| side.to_ascii_uppercase()) {
+            Some(side) if side == positive => Some(whole),
+            Some(side) if side == negative => Some(-whole.abs()),
+            _ if whole < 0.0 => Some(whole),
+            // Without its side a position may be on the other half of the globe.
+            _ => {
+                unsigned.push(reference);
+                None
+            }
+        }
     };
-    let place = degrees(Tag::GPSLatitude, Tag::GPSLatitudeRef, "S").zip(degrees(
+    let place = degrees(Tag::GPSLatitude, Tag::GPSLatitudeRef, ['N', 'S']).zip(degrees(
         Tag::GPSLongitude,
         Tag::GPSLongitudeRef,
-        "W",
+        ['E', 'W'],
     ));
+    if let Some(reference) = unsigned.first() {
+        found.unread = format!("{reference} does not say to which side degrees count");
+    }
     found.geotag = place.filter(|(latitude, longitude)| is_place(*latitude, *longitude)).map(
         |(latitude_deg, longitude_deg)| {
-            let below = value(Tag::GPSAltitudeRef).and_then(|v| v.get_uint(0)) == Some(1);
+            // Below the sea, below the ellipsoid.
+            let reference = value(Tag::GPSAltitudeRef).and_then(|v| v.get_uint(0));
+            let below = matches!(reference, Some(1 | 3));
             let height = value(Tag::GPSAltitude).and_then(|v| number(v, 0));
             let height_m = height.map(|h| if below { -h } else { h });
             Geotag { latitude_deg, longitude_deg, height_m, sigma_m: None }

@@ -6,11 +6,13 @@
 //! first line that names a reference system are kept apart.
 
 mod separator;
+mod units;
 
 use super::{FileError, csv_table::of_cell, words::LARGEST};
 use encoding_rs::{Encoding, WINDOWS_1252};
 use separator::Separator;
 use std::path::{Path, PathBuf};
+use units::{has_minutes, name_and_ending, unit};
 
 /// A file with rows of fields. All of them are one text: tables of leaves have millions of cells.
 #[derive(Debug, Clone, PartialEq)]
@@ -75,30 +77,6 @@ fn normal(title: &str) -> String {
 /// Whether a title has a name, letters' case and units aside.
 pub(super) fn is_called(title: &str, name: &str) -> bool {
     normal(title) == normal(name)
-}
-
-/// The unit in brackets of a title, as a number of metres or degrees, or why it is refused; 1 where there is none, or one of something else.
-fn unit(title: &str) -> Result<f64, &'static str> {
-    let Some(open) = title.find(['(', '[']) else { return Ok(1.0) };
-    let word = title[open + 1..].trim_end().trim_end_matches([')', ']']).trim().to_lowercase();
-    match word.as_str() {
-        "mm" => Ok(0.001),
-        "cm" => Ok(0.01),
-        "dm" => Ok(0.1),
-        "km" => Ok(1000.0),
-        "rad" | "radian" | "radians" => Ok(1f64.to_degrees()),
-        "gon" | "grad" | "gradian" | "gradians" => Ok(0.9),
-        "ft" | "feet" | "foot" | "us-ft" | "us ft" | "usft" | "ftus" | "us survey feet" | "ift" => {
-            Err("feet: there are two that differ, so convert to metres")
-        }
-        "yd" | "yard" | "yards" | "in" | "inch" | "inches" | "mi" | "mile" | "miles" | "nmi" => {
-            Err("a unit that is not read: convert to metres")
-        }
-        "w" | "west" | "south" => {
-            Err("numbers to the west or south: make them negative and take the letter away")
-        }
-        _ => Ok(1.0),
-    }
 }
 
 /// Whether a line names a reference system, as the first of an OpenDroneMap list does.
@@ -192,8 +170,13 @@ impl Table {
                     self.header = self.commented_header(fields.len(), separator);
                 }
                 let width = self.header.len();
-                let comment = fields[0].starts_with(['#', '%']) && !has_header;
-                if comment && fields.len() != width {
+                // A name may begin with such a sign; a footer is text, and has no second field.
+                let after = fields[0].strip_prefix(['#', '%']).filter(|_| !has_header);
+                let is_footer = |after: &str| {
+                    after.starts_with(char::is_whitespace)
+                        || fields.get(1).is_some_and(|second| second.is_empty())
+                };
+                if after.is_some_and(|after| fields.len() != width || is_footer(after)) {
                     return true;
                 }
                 // Trailing separators, and trailing fields that a table without a header may leave out.
@@ -202,10 +185,15 @@ impl Table {
                 if !ragged
                     && (fields.len() < width || surplus.iter().any(|field| !field.is_empty()))
                 {
-                    let message = format!(
-                        "expected {width} columns as in the header, found {}",
-                        fields.len()
-                    );
+                    let count = fields.len();
+                    let message = match width {
+                        1 => format!(
+                            "the header is one column ({}), this row is {count} ({}): separate the columns of both by the same sign",
+                            self.header[0],
+                            fields.join(" | ")
+                        ),
+                        _ => format!("expected {width} columns as in the header, found {count}"),
+                    };
                     fault = Some(FileError::malformed(&self.path, line, message));
                     return false;
                 }
@@ -233,7 +221,7 @@ impl Table {
         let mut titles: Vec<String> = Vec::new();
         if let Some(line) = last {
             let bare = line.trim_start_matches(['#', '%', ' ']);
-            titles = separator.fields_of(bare).into_iter().map(str::to_owned).collect();
+            titles = separator.titles_of(bare, width).into_iter().map(str::to_owned).collect();
         }
         // A moment of time is two fields.
         if titles.len() + 1 == width
@@ -280,11 +268,21 @@ impl Table {
         &self.header[column.0]
     }
 
-    /// The column of one of these names, letters' case and units aside.
+    /// The column of one of these names, letters' case and units aside. Where the first is in metres, a name may also end in
+    /// another unit of length.
     pub(super) fn column(&self, names: &[&str]) -> Option<Column> {
         let titles: Vec<String> = self.header.iter().map(|title| normal(title)).collect();
         let place = |name: &&str| titles.iter().position(|title| *title == normal(name));
-        names.iter().find_map(place).map(Column)
+        let is_length = names.first().is_some_and(|name| name.ends_with("_m"));
+        let in_other_unit = |name: &&str| {
+            let name = normal(name);
+            let begin = name.strip_suffix("_m").unwrap_or(&name);
+            titles
+                .iter()
+                .position(|title| name_and_ending(title).is_some_and(|(of, _)| of == begin))
+        };
+        let other = || names.iter().filter(|_| is_length).find_map(in_other_unit);
+        names.iter().find_map(place).or_else(other).map(Column)
     }
 
     /// As [`Table::column`], where there must be one.
@@ -327,7 +325,7 @@ impl Table {
         self.cell(row.first + column.0)
     }
 
-    /// The field as a number, in metres or degrees where the title has another unit in brackets; `None` where it is none.
+    /// The field as a number, in metres or degrees where the title has another unit; `None` where it is none.
     pub(super) fn parse(&self, row: &Row, column: Column) -> Option<f64> {
         let number = separator::number(self.text(row, column), self.decimal_comma)?;
         let side = self.sides[column.0].map_or("", |side| self.text(row, side));
@@ -344,6 +342,12 @@ impl Table {
             Some(value) if value.abs() <= LARGEST => Ok(value),
             Some(_) => Err(self
                 .fault(row, format!("{title} is {field}, expected at most {LARGEST:e} in size"))),
+            None if has_minutes(field) => Err(self.fault(
+                row,
+                format!(
+                    "{title} is {field:?}, expected decimal degrees such as 40.4719, negative to the south and west"
+                ),
+            )),
             None => Err(self.fault(row, format!("{title} is {field:?}, expected a finite number"))),
         }
     }

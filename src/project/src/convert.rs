@@ -59,7 +59,7 @@ pub fn convert(
     options: &ModelFileOptions,
     force: bool,
 ) -> Result<ConvertOutcome, Error> {
-    if output.exists() && !force {
+    if is_in_the_way(output) && !force {
         return Err(FileError::Exists { path: output.to_owned() }.into());
     }
     let mut model = read(input, Format::required(input)?, options)?;
@@ -71,6 +71,11 @@ pub fn convert(
         points: survey.points.len(),
         observations: survey.observations.len(),
     })
+}
+
+/// Whether something would be replaced: an empty folder is nothing.
+pub(super) fn is_in_the_way(path: &Path) -> bool {
+    path.exists() && !path.read_dir().is_ok_and(|mut entries| entries.next().is_none())
 }
 
 impl Format {
@@ -173,4 +178,17 @@ pub(super) fn write(
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_folder_is_not_in_the_way() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(!is_in_the_way(folder.path()) && !is_in_the_way(&folder.path().join("none")));
+        std::fs::write(folder.path().join("a"), "").unwrap();
+        assert!(is_in_the_way(folder.path()) && is_in_the_way(&folder.path().join("a")));
+    }
 }

@@ -2,7 +2,7 @@
 
 use super::{
     Config, PHOTO_ENDINGS, Project, Stage,
-    align::plan_m,
+    align::{inputs::is_same_camera, plan_m},
     forecast::{self, Forecast},
     layers, orthomosaic,
     photo_folder::UNUSABLE_NAME,
@@ -17,14 +17,11 @@ use rowgram_base::{
 };
 use rowgram_files::{
     images,
-    photo::{self, Geotag},
+    photo::{self, Geotag, Metadata},
     polygons::{self, Named},
 };
 use rowgram_optim::output::name_of;
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 /// Forward overlap, percent, below which photos do not connect, and below which connections are weak.
 const OVERLAP_PERCENT: [f64; 2] = [30.0, 55.0];
@@ -74,7 +71,7 @@ pub fn doctor(
     } else if let Some(message) = orthomosaic::undecided(&photos) {
         found.push(Diagnostic::error("orthomosaic-undecided", "orthomosaic", message));
     } else if photos.is_empty() {
-        let message = format!("none in images/ or directly ({})", PHOTO_ENDINGS.join(", "));
+        let message = format!("none {} ({})", project.photo_place(), PHOTO_ENDINGS.join(", "));
         found.push(Diagnostic::error("photos-missing", "photos", message));
     } else {
         let (said, places) = tables(&project);
@@ -221,7 +218,7 @@ fn of_photos(
             (photo::read(path), images::read_photo(path).map(|photo| photo.dimensions()).ok())
         })
         .collect();
-    let mut cameras: BTreeMap<String, usize> = BTreeMap::new();
+    let mut cameras: Vec<((&Metadata, [u32; 2]), usize)> = Vec::new();
     let (mut unread, mut without_focal) = (Vec::new(), 0);
     let mut scales = Vec::new();
     for (path, (head, size)) in photos.iter().zip(&heads) {
@@ -229,8 +226,11 @@ fn of_photos(
             unread.push(project.photo_name(path));
             continue;
         };
-        *cameras.entry(format!("{} {} {width} x {height}", head.make, head.model)).or_default() +=
-            1;
+        let camera = (head, [*width, *height]);
+        match cameras.iter_mut().find(|(first, _)| is_same_camera(*first, camera)) {
+            Some((_, count)) => *count += 1,
+            None => cameras.push((camera, 1)),
+        }
         let principal = head.principal_distance_px([*width, *height]);
         without_focal += usize::from(principal.is_none());
         if let (Some((distance, _)), Some(above)) = (principal, head.height_above_take_off_m) {
@@ -253,8 +253,12 @@ fn of_photos(
         let message = format!("{all} are too few for a block, expected {LEAST_PHOTOS} or more");
         found.push(Diagnostic::error("photos-too-few", "photos", message));
     }
-    let list: Vec<String> =
-        cameras.iter().map(|(name, n)| format!("{n} by {}", name.trim())).collect();
+    let describe = |((head, [width, height]), n): &((&Metadata, [u32; 2]), usize)| {
+        let focal = head.focal_mm.map_or(String::new(), |focal| format!(", {focal:.1} mm"));
+        let name = format!("{} {} {width} x {height}{focal}", head.make, head.model);
+        format!("{n} by {}", name.trim())
+    };
+    let list: Vec<String> = cameras.iter().map(describe).collect();
     match cameras.len() {
         0 => return found,
         1 => found.push(Diagnostic::info("cameras", "camera", list.join("; "))),

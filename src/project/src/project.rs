@@ -183,6 +183,21 @@ impl Project {
         self.records().read(stage).filter(|record| !record.is_superseded).map(|_| path)
     }
 
+    /// Why a file of a stage cannot be used that is not [`Project::finished`].
+    pub(super) fn missing(&self, stage: Stage, name: &str, what: &str) -> Error {
+        let (path, word) = (self.file(stage, name), stage.word());
+        let folder = self.folder(stage);
+        Error::NothingToDo(match path.is_file() {
+            true => format!(
+                "the {what} in {} is that of an earlier run: something changed since, and {word} failed or had nothing to do; run rowgram {word} again",
+                folder.display()
+            ),
+            false => {
+                format!("there is no {what} in {}; make one with rowgram {word}", folder.display())
+            }
+        })
+    }
+
     /// The content store.
     pub(super) fn store_of_all(&self) -> Store {
         Store::new(self.results.join(STORE))
@@ -249,6 +264,19 @@ impl Project {
     pub fn photo_folder(&self) -> PathBuf {
         let images = self.root.join(IMAGES);
         if images.is_dir() { images } else { self.root.clone() }
+    }
+
+    /// Where photos are looked for, for people.
+    pub(super) fn photo_place(&self) -> String {
+        if !self.root.join(IMAGES).is_dir() {
+            return "in images/ or directly".to_owned();
+        }
+        match photos_in(&self.root).len() {
+            0 => "in images/".to_owned(),
+            n => format!(
+                "in images/, but {n} directly in the folder, which are not used beside it: move them there, or remove images/"
+            ),
+        }
     }
 
     /// What a photo is called: its path from the folder of the photos on.
@@ -322,7 +350,7 @@ impl Project {
     pub fn orthomosaic(&self) -> Result<PathBuf, Error> {
         self.given_orthomosaic()
             .or_else(|| self.finished(Stage::Ortho, "ortho.tif"))
-            .ok_or_else(|| Error::NothingToDo("there is no orthomosaic".to_owned()))
+            .ok_or_else(|| self.missing(Stage::Ortho, "ortho.tif", "orthomosaic"))
     }
 
     /// How a picture is read: the orthomosaic that was given with bands and reflectance as the settings say.
@@ -349,6 +377,33 @@ impl Project {
     /// [`Error::NothingToDo`] where there is none.
     pub fn mask(&self) -> Result<PathBuf, Error> {
         self.finished(Stage::Segment, "mask.tif")
-            .ok_or_else(|| Error::NothingToDo("there is no leaf mask".to_owned()))
+            .ok_or_else(|| self.missing(Stage::Segment, "mask.tif", "leaf mask"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn what_is_missing_is_told_from_what_is_out_of_date() {
+        let folder = tempfile::tempdir().unwrap();
+        let project = Project::new(folder.path(), Config::default()).unwrap();
+        let told = || project.missing(Stage::Ortho, "ortho.tif", "orthomosaic").to_string();
+        assert!(told().contains("there is no orthomosaic"), "{}", told());
+        fs::create_dir_all(project.folder(Stage::Ortho)).unwrap();
+        fs::write(project.file(Stage::Ortho, "ortho.tif"), "").unwrap();
+        assert!(told().contains("earlier run"), "{}", told());
+    }
+
+    #[test]
+    fn photos_beside_an_empty_folder_of_photos_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let project = Project::new(folder.path(), Config::default()).unwrap();
+        fs::write(folder.path().join("a.jpg"), "").unwrap();
+        assert_eq!(project.photo_place(), "in images/ or directly");
+        fs::create_dir(folder.path().join("images")).unwrap();
+        assert!(project.photo_place().contains("1 directly in the folder"));
     }
 }

@@ -18,10 +18,7 @@ impl Project {
         let path = self.file(Stage::Align, reconstruction::NAME);
         let record = self.records().read(Stage::Align);
         if !path.is_file() || record.is_some_and(|record| record.is_superseded) {
-            return Err(Error::NothingToDo(format!(
-                "there is no reconstruction in {}; make one with rowgram align",
-                self.folder(Stage::Align).display()
-            )));
+            return Err(self.missing(Stage::Align, reconstruction::NAME, "reconstruction"));
         }
         Ok(vec![path.with_file_name(reconstruction::POINTS), path])
     }

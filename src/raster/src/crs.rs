@@ -59,6 +59,16 @@ pub fn knows_datum(definition: &str) -> bool {
     same_as_wgs84 || ["+datum=", "+towgs84="].iter().any(|key| definition.contains(key))
 }
 
+/// Whether a datum is within a metre or two of WGS84: that of receivers, but for what continents move.
+pub fn is_global(definition: &str) -> bool {
+    let shift = definition.split_whitespace().find_map(|word| word.strip_prefix("+towgs84="));
+    let is_shifted = shift.is_some_and(|shift| {
+        shift.split(',').take(3).any(|m| m.parse::<f64>().is_ok_and(|m| m.abs() > 2.0))
+    });
+    let global = ["+datum=WGS84", "+datum=NAD83", "+ellps=GRS80", "+ellps=WGS84", "+a=6378137"];
+    !is_shifted && global.iter().any(|key| definition.contains(key))
+}
+
 /// The code of a UTM zone in words: `WGS84 UTM 16N`, `WGS 84 / UTM zone 16N`, `UTM 16T`, where the letter is that of the
 /// hemisphere or of the band of latitude (C to M are south of the equator). `S` alone is the southern hemisphere, as in
 /// the headers of control point lists.
@@ -228,28 +238,50 @@ impl Crs {
         Ok([lon, lat])
     }
 
+    /// Whether its datum is that of receivers ([`is_global`]).
+    pub fn is_global(&self) -> bool {
+        is_global(&self.definition)
+    }
+
     /// Whether its definition says how its datum lies to WGS84; where it does not, places come out up to
     /// some hundred metres off, all by nearly the same.
     pub fn knows_datum(&self) -> bool {
         knows_datum(&self.definition)
     }
 
-    /// The system that words name: `EPSG:32611`, `32611`, a PROJ string, or `WGS84 UTM 11N` or `11T` as in the
-    /// headers of control point lists.
+    /// The system in metres that words name, as in [`Crs::of_words`].
     ///
     /// # Errors
-    /// As [`Crs::from_epsg`], and words that are none of these.
+    /// As [`Crs::of_words`], and a system that is geographic or not in metres.
     pub fn from_words(words: &str) -> Result<Crs, CrsError> {
+        Crs::of_words(words)?.in_metres()
+    }
+
+    /// The system that words name, whatever its unit: `EPSG:32611`, `32611`, a PROJ string, or `WGS84 UTM 11N` or `11T`
+    /// and `WGS84` as in the headers of control point lists.
+    ///
+    /// # Errors
+    /// As [`Crs::of_code`], and words that are none of these.
+    pub fn of_words(words: &str) -> Result<Crs, CrsError> {
         let words = words.trim();
-        let code = words.strip_prefix("EPSG:").or_else(|| words.strip_prefix("epsg:"));
-        if let Ok(code) = code.unwrap_or(words).trim().parse::<u32>() {
-            return Crs::from_epsg(code);
+        let code = match words.split_at_checked(5) {
+            Some((begin, rest)) if begin.eq_ignore_ascii_case("EPSG:") => {
+                rest.trim_start_matches(':')
+            }
+            _ => words,
+        };
+        if let Ok(code) = code.trim().parse::<u32>() {
+            return Crs::of_code(code);
         }
-        if words.starts_with("+proj") {
-            return Crs::of_definition(words)?.in_metres();
+        let lower = words.to_ascii_lowercase();
+        if lower.starts_with("+proj") {
+            return Crs::of_definition(words);
         }
         if let Some(code) = utm_code(words) {
-            return Crs::from_epsg(code);
+            return Crs::of_code(code);
+        }
+        if ["wgs84", "wgs 84", "wgs84 latlon", "wgs84 lat/lon"].contains(&lower.as_str()) {
+            return Crs::of_code(4326);
         }
         Err(CrsError(format!(
             "{words:?} names no coordinate reference system; expected EPSG:<code>, a PROJ string or WGS84 UTM <zone>N"
@@ -450,5 +482,23 @@ mod tests {
             assert_eq!(utm_code(words), code, "{words}");
         }
         assert_eq!(Crs::from_words("WGS84 UTM 16T").unwrap().name(), "EPSG:32616");
+    }
+
+    #[test]
+    fn degrees_of_receivers_are_told_from_those_of_old_datums() {
+        let tell = |words: &str| {
+            let crs = Crs::of_words(words).unwrap();
+            (crs.is_geographic(), crs.is_global())
+        };
+        for words in ["EPSG:4326", "epsg::4258", "EPSG:4674", "4979", "WGS84", "EPSG:4612"] {
+            assert_eq!(tell(words), (true, true), "{words}");
+        }
+        let tokyo = "+proj=longlat +ellps=GRS80 +towgs84=-146.414,507.337,680.507 +no_defs";
+        for words in ["EPSG:4314", tokyo] {
+            assert_eq!(tell(words), (true, false), "{words}");
+        }
+        assert!(Crs::from_words("EPSG:4326").is_err());
+        let no_grid = Crs::of_words("EPSG:4267").unwrap_err().to_string();
+        assert!(no_grid.contains("grid not available"), "{no_grid}");
     }
 }

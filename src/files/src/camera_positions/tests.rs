@@ -86,10 +86,24 @@ fn what_is_missing_is_named() {
         ("image,lat,lon\na,x,1\n", "lat is \"x\""),
         ("a,b\nc,d\n", "image"),
         ("image,lat,lon\na,1,2\na,1,3\n", "a is there twice"),
+        ("EPSG:4267\nimage,lat,lon\na,1,2\n", "to WGS84 (EPSG:4326)"),
+        ("EPSG:4314\nimage,lat,lon\na,1,2\n", "transform them to WGS84"),
         ("", "empty"),
     ] {
         std::fs::write(&path, text).unwrap();
         let error = read(&path, None).unwrap_err().to_string();
         assert!(error.contains(part) && error.contains("geolocation.csv"), "{error}");
+    }
+}
+
+#[test]
+fn an_accuracy_may_be_alone() {
+    for (titles, expected) in [
+        ("accuracy_horizontal", Some([0.02, 0.02, 5.0])),
+        ("sigma_z_m", Some([5.0, 5.0, 0.02])),
+        ("comment", None),
+    ] {
+        let text = format!("image,latitude,longitude,{titles}\na.JPG,40.47,-86.99,0.02\n");
+        assert_eq!(read_as("geolocation.csv", &text, None).rows[0].sigma_m, expected, "{titles}");
     }
 }

@@ -13,7 +13,7 @@ mod text;
 
 use super::{
     FileError,
-    model::{Feature, Model, as_brown, from_computer_vision, to_computer_vision},
+    model::{Feature, Model, as_brown, from_computer_vision, names_once, to_computer_vision},
     words::Fault,
 };
 use fitted::Fitted;
@@ -22,7 +22,10 @@ use rowgram_survey::{
     camera::{Camera, Interior, Lens, Model as LensModel},
     scene::{Image, Observation, Reconstruction, TiePoint},
 };
-use std::{collections::HashMap, path::Path};
+use std::{
+    collections::{HashMap, HashSet},
+    path::Path,
+};
 
 /// Where COLMAP's pixel origin is from ours.
 const HALF_PX: f64 = 0.5;
@@ -264,6 +267,9 @@ fn cameras_of(rows: Vec<CameraRow>) -> Result<(Vec<Camera>, Vec<u32>), String> {
                 Camera::new(&name, interior)
             }
         });
+        if ids.contains(&row.id) {
+            return Err(named("its number is there twice, expected each once".into()));
+        }
         ids.push(row.id);
     }
     Ok((cameras, ids))
@@ -290,7 +296,11 @@ fn join(
             colour: row.colour,
         });
     }
+    let mut numbers = HashSet::new();
     for row in images {
+        if !numbers.insert(row.id) {
+            return Err(format!("image {}: its number {} is there twice", row.name, row.id));
+        }
         let camera = model.camera_ids.iter().position(|&id| id == row.camera);
         let camera = camera.ok_or_else(|| {
             format!("image {}: its camera {} is not among the cameras", row.name, row.camera)
@@ -319,6 +329,7 @@ fn join(
         });
         model.features.push(row.features);
     }
+    names_once(&model.survey)?;
     Ok(model)
 }
 
@@ -401,4 +412,31 @@ fn tracks(model: &Model, images: &[ImageRow]) -> Vec<Vec<(u32, u32)>> {
         }
     }
     tracks
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_and_images_are_there_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let refused = |cameras: &str, images: &str| {
+            for (name, text) in [("cameras", cameras), ("images", images), ("points3D", "")] {
+                std::fs::write(folder.path().join(format!("{name}.txt")), text).unwrap();
+            }
+            read(folder.path()).map(drop).map_err(|error| error.to_string())
+        };
+        let camera = "1 SIMPLE_PINHOLE 40 30 50 20 15\n";
+        let images = "1 1 0 0 0 0 0 0 1 a.jpg\n\n2 1 0 0 0 1 0 0 1 b.jpg\n\n";
+        assert_eq!(refused(camera, images), Ok(()));
+        for (cameras, images, part) in [
+            (camera.repeat(2), images.to_owned(), "camera 1: its number is there twice"),
+            (camera.to_owned(), images.replace("2 1 0", "1 1 0"), "its number 1 is there twice"),
+            (camera.to_owned(), images.replace("b.jpg", "a.jpg"), "two images are called"),
+        ] {
+            let error = refused(&cameras, &images).unwrap_err();
+            assert!(error.contains(part), "{error}");
+        }
+    }
 }

@@ -77,18 +77,29 @@ fn ascii(text: &str) -> Vec<u8> {
 
 /// A JPEG with EXIF whose first directory, and those of exposure and position, end so.
 fn photo_with_exif(first: &Next, below: &Next, xmp: &str) -> Vec<u8> {
+    photo_at(["N", "W"], 0, first, below, xmp)
+}
+
+/// The same with the sides to which latitude and longitude count, and what the height is over.
+fn photo_at(
+    sides: [&str; 2],
+    height_reference: u8,
+    first: &Next,
+    below: &Next,
+    xmp: &str,
+) -> Vec<u8> {
     let exposure = |at| {
         directory(at, &[(0x920a, 5, 1, ratios(&[[88, 10]])), (0xa405, 3, 1, vec![0, 24])], below)
     };
     let position = |at| {
-        let [north, west] = [ascii("N"), ascii("W")];
+        let [north, west] = sides.map(ascii);
         let (lat, lon) = ([[40, 1], [28, 1], [1872, 100]], [[86, 1], [59, 1], [3136, 100]]);
         let entries: [Entry; 6] = [
-            (1, 2, 2, north),
+            (1, 2, north.len() as u32, north),
             (2, 5, 3, ratios(&lat)),
-            (3, 2, 2, west),
+            (3, 2, west.len() as u32, west),
             (4, 5, 3, ratios(&lon)),
-            (5, 1, 1, vec![0]),
+            (5, 1, 1, vec![height_reference]),
             (6, 5, 1, ratios(&[[193_373, 1000]])),
         ];
         directory(at, &entries, below)
@@ -170,4 +181,24 @@ fn positions_come_from_xmp_where_exif_has_none() {
     ));
     assert!((both.geotag.unwrap().latitude_deg - 40.47).abs() < 0.01);
     assert_eq!(both.band.as_deref(), Some("NIR"));
+}
+
+#[test]
+fn a_position_counts_to_the_sides_that_are_named() {
+    let read = |sides: [&str; 2], height_reference: u8| {
+        parse(&photo_at(sides, height_reference, &Next::None, &Next::None, ""))
+    };
+    for (sides, height_reference, signs) in [
+        (["N", "W"], 0, [1.0, -1.0, 1.0]),
+        (["South", "west"], 1, [-1.0, -1.0, -1.0]),
+        (["s", "East"], 2, [-1.0, 1.0, 1.0]),
+        (["North", "E"], 3, [1.0, 1.0, -1.0]),
+    ] {
+        let tag = read(sides, height_reference).geotag.unwrap();
+        let found = [tag.latitude_deg, tag.longitude_deg, tag.height_m.unwrap()];
+        assert_eq!(found.map(f64::signum), signs, "{sides:?} {height_reference}");
+    }
+    let unsigned = read(["N", ""], 0);
+    assert_eq!(unsigned.geotag, None);
+    assert!(unsigned.unread.contains("GPSLongitudeRef"), "{}", unsigned.unread);
 }

@@ -113,7 +113,7 @@ pub(super) fn read(text: &str, found: &mut Metadata) {
             .or_else(|| degrees(text, "GPSLongitude"));
         found.geotag =
             latitude.zip(longitude).filter(|(lat, lon)| is_place(*lat, *lon)).map(|(lat, lon)| {
-                let below = value(text, "GPSAltitudeRef") == Some("1");
+                let below = matches!(value(text, "GPSAltitudeRef"), Some("1" | "3"));
                 let height_m = of("GPSAltitude").map(|height| if below { -height } else { height });
                 Geotag { latitude_deg: lat, longitude_deg: lon, height_m, sigma_m: None }
             });

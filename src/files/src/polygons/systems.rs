@@ -27,9 +27,7 @@ impl Stated {
     /// the outline of a plot is worth.
     pub(super) fn code(epsg: u32) -> Stated {
         match crs::Crs::of_code(epsg) {
-            Ok(system) if system.is_geographic() && is_global(system.definition()) => {
-                Stated::Degrees
-            }
+            Ok(system) if system.is_geographic() && system.is_global() => Stated::Degrees,
             _ => Stated::Epsg(epsg),
         }
     }
@@ -39,7 +37,7 @@ impl Stated {
         let system = crs::Crs::of_well_known_text(text).map_err(|error| error.to_string())?;
         Ok(match system.epsg() {
             Some(code) => Stated::code(code),
-            None if system.is_geographic() && is_global(system.definition()) => Stated::Degrees,
+            None if system.is_geographic() && system.is_global() => Stated::Degrees,
             None => Stated::Definition(system.definition().to_owned()),
         })
     }
@@ -62,13 +60,6 @@ impl Stated {
             Stated::Definition(definition) => format!("says that it is in {definition}"),
         }
     }
-}
-
-/// Whether a datum is within a metre or two of WGS84.
-fn is_global(definition: &str) -> bool {
-    ["+datum=WGS84", "+datum=NAD83", "+ellps=GRS80", "+ellps=WGS84", "+a=6378137"]
-        .iter()
-        .any(|key| definition.contains(key))
 }
 
 /// Whether two systems that do not say how their datum lies to WGS84 have the same.
@@ -145,7 +136,7 @@ fn from_to(stated: &Stated, place: &Georeference) -> Result<ToMap, String> {
     for definition in [from.definition(), onto.definition()] {
         let is_known =
             crs::knows_datum(definition) && !definition.contains("+towgs84=0,0,0,0,0,0,0");
-        if !is_known && !is_global(definition) && !same_datum(&from, &onto) {
+        if !is_known && !crs::is_global(definition) && !same_datum(&from, &onto) {
             return Err(format!(
                 "where the datum of its system ({definition}) lies is not known; save the file in the system of the map"
             ));

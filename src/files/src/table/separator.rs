@@ -100,6 +100,14 @@ impl Separator {
         }
     }
 
+    /// The fields of a line of so many titles, which may be separated otherwise than the rows.
+    pub(super) fn titles_of<'a>(&self, line: &'a str, count: usize) -> Vec<&'a str> {
+        let others = [b'\t', b';', b','].map(|by| Separator { by, ..*self });
+        let mut ways = others.iter().map(|other| other.fields_of(line));
+        let own = self.fields_of(line);
+        if own.len() == count { own } else { ways.find(|way| way.len() == count).unwrap_or(own) }
+    }
+
     /// Gives the fields of each record with the byte at which it begins, until the listener has enough.
     ///
     /// # Errors

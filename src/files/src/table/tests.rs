@@ -100,3 +100,46 @@ fn units_of_titles_are_converted_or_refused() {
         assert!(error.contains(expected), "{error}");
     }
 }
+
+#[test]
+fn units_may_end_a_title() {
+    let table = read(
+        b"name,sigma_xy_mm,easting_cm,altitude_ft,z (US survey foot),drift (left)\na,20,250,3,4,5\n",
+    );
+    let number = |names: &[&str]| table.number(&table.rows()[0], table.column(names).unwrap());
+    assert_eq!(number(&["sigma_xy_m", "accuracy_xy"]).unwrap(), 0.02);
+    assert_eq!(number(&["easting_m"]).unwrap(), 2.5);
+    assert_eq!(number(&["drift"]).unwrap(), 5.0);
+    for names in [&["height_m", "altitude"], &["z_m", "z"]] {
+        let error = number(names).unwrap_err().to_string();
+        assert!(error.contains("has feet"), "{error}");
+    }
+    // Of pixels a length is none.
+    assert_eq!(table.column(&["easting_px", "easting"]), None);
+}
+
+#[test]
+fn titles_in_a_comment_have_a_separator_of_their_own_and_a_footer_is_no_row() {
+    let table = read(b"# PhotoID, X, Y, Z\na.jpg\t1.5\t2\t3\n# Control points Total Error\t\t\t0.05\n#b\t2\t2\t3\n");
+    assert_eq!(table.header(), ["PhotoID", "X", "Y", "Z"]);
+    let names = table.rows().iter().map(|row| table.text(row, Column(0)));
+    assert_eq!(names.collect::<Vec<_>>(), ["a.jpg", "#b"]);
+}
+
+#[test]
+fn a_table_that_cannot_be_split_and_minutes_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("table.csv");
+    std::fs::write(&path, "label easting\nA,1,2,3\nB,1,2,3\n").unwrap();
+    let error = Table::read(&path).unwrap_err().to_string();
+    assert!(error.contains("(label easting), this row is 4 (A | 1 | 2 | 3)"), "{error}");
+    for (field, part) in [
+        ("40°28'18.7\"\"N", "expected decimal degrees"),
+        ("40 28 18.7", "expected decimal degrees"),
+        ("north", "expected a finite number"),
+    ] {
+        let table = read(format!("name,lat,lon,h\na,\"{field}\",1,2\n").as_bytes());
+        let error = table.number(&table.rows()[0], Column(1)).unwrap_err().to_string();
+        assert!(error.contains(part), "{error}");
+    }
+}

@@ -1,13 +1,20 @@
 //! Blocks with names: what is read, in which order things are done, what is written.
 
 use super::{AdjustOptions, Adjustment, DatumChoice, Outputs};
-use crate::convert::{self, Format};
+use crate::{
+    align::without_heights,
+    convert::{self, Format},
+};
 use rowgram_base::{
     error::Error,
     monitor::{Diagnostic, Monitor},
 };
 use rowgram_files::{camera, control, image_names::Names, model::Model};
-use rowgram_optim::{nlls::Loss, output::FileError};
+use rowgram_optim::{
+    nlls::Loss,
+    output::{FileError, name_of},
+};
+use rowgram_raster::crs::Crs;
 use rowgram_survey::{
     camera::Model as LensModel,
     problems::{
@@ -17,7 +24,7 @@ use rowgram_survey::{
         },
         bundle::InteriorSharing,
     },
-    scene::{Excluded, Reconstruction, Role, RollingShutter},
+    scene::{Excluded, HorizontalFrame, Reconstruction, ReferenceFrame, Role, RollingShutter},
 };
 use std::path::Path;
 
@@ -39,11 +46,11 @@ pub(super) fn adjust_block(
     let format = Format::required(path)?;
     let output_format = options.to.unwrap_or(format);
     for path in options.report.iter().chain(&outputs.output) {
-        if path.exists() && !outputs.force {
+        if convert::is_in_the_way(path) && !outputs.force {
             return Err(FileError::Exists { path: path.clone() }.into());
         }
     }
-    let (mut model, unmatched) = assemble(path, format, options)?;
+    let (mut model, unmatched) = assemble(path, format, options, monitor)?;
     if let Some(path) = outputs.output.as_deref().filter(|_| output_format != Format::Rowgram) {
         check_lenses(path, &model)?;
     }
@@ -83,6 +90,7 @@ fn assemble(
     path: &Path,
     format: Format,
     options: &AdjustOptions,
+    monitor: &mut dyn Monitor,
 ) -> Result<(Model, Vec<Excluded>), Error> {
     let mut model = convert::read(path, format, &options.files)?;
     let survey = &mut model.survey;
@@ -112,7 +120,10 @@ fn assemble(
         position_m: options.position_sigma_m,
     };
     if let (Some(path), Some(marks)) = (&options.control, &options.marks) {
-        survey.ground = control::ground_points(path, &defaults)?;
+        let mut read = control::ground_points(path, &defaults)?;
+        check_system(path, read.crs.as_deref(), &survey.reference)?;
+        without_heights(&mut read, &name_of(path), monitor);
+        survey.ground = read.ground;
         for name in &options.check {
             let point = survey.ground.iter_mut().find(|point| point.name == *name);
             let point = point.ok_or_else(|| {
@@ -126,7 +137,9 @@ fn assemble(
         unmatched.extend(rest);
     }
     if let Some(path) = &options.positions {
-        let (positions, rest) = control::positions(path, &Names::of(&survey.images), &defaults)?;
+        let (positions, rest, system) =
+            control::positions(path, &Names::of(&survey.images), &defaults)?;
+        check_system(path, system.as_deref(), &survey.reference)?;
         survey.positions = positions;
         survey.lever_arm_m = options.lever_arm_m;
         unmatched.extend(rest);
@@ -135,6 +148,23 @@ fn assemble(
         survey.scale_bars = control::scale_bars(path, &survey.ground)?;
     }
     Ok((model, unmatched))
+}
+
+/// Refuses coordinates whose file names another system than that of the reconstruction: nothing is transformed here.
+fn check_system(path: &Path, words: Option<&str>, reference: &ReferenceFrame) -> Result<(), Error> {
+    let HorizontalFrame::Projected { name, definition, .. } = &reference.horizontal else {
+        return Ok(());
+    };
+    // A comment may name none.
+    match words.and_then(|words| Some((words, Crs::of_words(words).ok()?))) {
+        Some((words, crs)) if crs.definition() != definition => {
+            let message = format!(
+                "its first lines name {words}, the reconstruction is in {name}; transform the coordinates into {name}"
+            );
+            Err(FileError::malformed(path, None, message).into())
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Puts a camera in the place of every camera of the block.
@@ -283,4 +313,24 @@ fn estimate(
         complete,
         checks: None,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn control_of_another_system_than_the_reconstruction_is_refused() {
+        let horizontal = HorizontalFrame::from(&Crs::from_epsg(32616).unwrap());
+        let reference = ReferenceFrame { horizontal, ..ReferenceFrame::default() };
+        let check = |words: Option<&str>, reference: &ReferenceFrame| {
+            check_system(Path::new("gcps.csv"), words, reference).map_err(|e| e.to_string())
+        };
+        for words in [None, Some("EPSG:32616"), Some("WGS84 UTM 16N"), Some("WGS84, by Ana")] {
+            assert_eq!(check(words, &reference), Ok(()), "{words:?}");
+        }
+        let error = check(Some("EPSG:32617"), &reference).unwrap_err();
+        assert!(error.contains("EPSG:32617") && error.contains("in EPSG:32616"), "{error}");
+        assert_eq!(check(Some("EPSG:32617"), &ReferenceFrame::default()), Ok(()));
+    }
 }

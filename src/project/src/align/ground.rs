@@ -1,7 +1,7 @@
 //! What is known of a project on the ground and in the air, in one frame.
 
 use super::{
-    geotags::photos_deg,
+    geotags::{self, photos_deg},
     inputs::{Frame, Photo, Sources, names},
     marks, place as places,
 };
@@ -67,6 +67,14 @@ fn control(
     } else {
         listed(path, photos, sources, monitor)?
     };
+    let empty = [(Some(path), ground.control.ground.is_empty(), "ground points")];
+    let marks_file = if is_table(path) { sources.marks.as_ref() } else { None };
+    let of_marks = [(marks_file, ground.marks.is_empty(), "marks")];
+    for (path, is_empty, what) in empty.into_iter().chain(of_marks) {
+        if let Some(path) = path.filter(|_| is_empty) {
+            monitor.diagnostic(&geotags::empty_table(path, what));
+        }
+    }
     if let Some(choice) = &ground.control.choice {
         let found = Diagnostic::info("columns-assumed", subject.as_str(), choice.as_str());
         let remedy = "gcps.csv with a first row label, easting_m, northing_m, height_m (or latitude, longitude) says otherwise";
@@ -118,7 +126,7 @@ fn listed(
 }
 
 /// Says which points have no heights, those at 0 among them.
-pub(super) fn without_heights(control: &mut Control, subject: &str, monitor: &mut dyn Monitor) {
+pub(crate) fn without_heights(control: &mut Control, subject: &str, monitor: &mut dyn Monitor) {
     if control.drop_zero_heights() {
         let message = "the heights of all points are 0, as where they were not measured: the points are used in plan only";
         let found = Diagnostic::warning("control-without-heights", subject, message);
@@ -152,16 +160,18 @@ pub(super) fn read(
     let tagged: Vec<(usize, Geotag)> =
         tags.iter().enumerate().filter_map(|(k, tag)| tag.map(|tag| (k, tag))).collect();
     let bad = |e: rowgram_raster::crs::CrsError| Error::Argument(format!("--crs: {e}"));
+    let geographic = control.is_some_and(|c| c.geographic);
     let mut crs = match sources.crs {
         Some(words) => Some(Crs::from_words(words).map_err(bad)?),
-        None => match control.and_then(|c| c.crs.as_deref().filter(|_| !c.geographic)) {
+        None => match control.and_then(|c| c.crs.as_deref()) {
+            // Degrees may be of the system that the file names.
+            Some(words) if geographic => Crs::from_words(words).ok(),
             Some(words) => Some(Crs::from_words(words).map_err(|e| {
                 Error::Argument(format!("the control points' reference system: {e}"))
             })?),
             None => None,
         },
     };
-    let geographic = control.is_some_and(|c| c.geographic);
     if let Some(read) = read {
         known.ground = read.control.ground;
         known.marks = read.marks;

@@ -1,6 +1,10 @@
 //! Which photos a project has, what their files say, what is known on the ground and in the air.
 
-use super::{AlignOptions, geotags, ground, known_photos};
+use super::{
+    AlignOptions,
+    geotags::{self, PositionFiles},
+    ground, known_photos,
+};
 use crate::{
     Project, Stage,
     photo_folder::UNUSABLE_NAME,
@@ -143,8 +147,8 @@ pub(super) struct Sources<'a> {
     pub(super) crs: Option<&'a str>,
     pub(super) control: Option<PathBuf>,
     pub(super) marks: Option<PathBuf>,
-    /// Files of camera positions, the one that is used first.
-    pub(super) positions: Vec<PathBuf>,
+    /// Files of camera positions.
+    pub(super) positions: PositionFiles,
     pub(super) camera: Option<PathBuf>,
     pub(super) check: &'a [String],
     pub(super) keep: &'a [String],
@@ -195,8 +199,8 @@ pub(super) fn beside(project: &Project) -> Vec<PathBuf> {
     let Sources { control, marks, positions, camera, .. } = Sources::of(project, &options);
     // Only a table of control has its image measurements beside it.
     let marks = marks.filter(|_| control.as_deref().is_some_and(ground::is_table));
-    let positions = positions.into_iter().next();
-    [control, marks, positions, camera].into_iter().flatten().collect()
+    let positions: Vec<PathBuf> = positions.used().cloned().collect();
+    [control, marks, camera].into_iter().flatten().chain(positions).collect()
 }
 
 /// Reads everything that is known beforehand; photos that the store knows are not read again.
@@ -305,7 +309,24 @@ fn unread(photos: &[Photo], monitor: &mut dyn Monitor) {
     monitor.diagnostic(&Diagnostic::new(severity, "exif-damaged", "photos", message));
 }
 
-/// Photos of one make, model, size and focal length share a camera.
+/// Focal lengths of one camera, apart by less than this share of them: what EXIF says of a fixed lens differs by rounding
+/// and by focus, by some tenths of a percent; the steps of a zoom are several percent.
+const SAME_FOCAL: f64 = 0.01;
+
+/// Whether photos with these heads and sizes are of one camera: by make, model, size and focal length.
+pub(crate) fn is_same_camera(
+    (a, a_px): (&Metadata, [u32; 2]),
+    (b, b_px): (&Metadata, [u32; 2]),
+) -> bool {
+    let focal = |of: &Metadata| of.focal_mm.or(of.focal_35mm);
+    let is_same_focal = match (focal(a), focal(b)) {
+        (Some(a), Some(b)) => (a - b).abs() <= SAME_FOCAL * a.max(b),
+        (a, b) => a == b,
+    };
+    (&a.make, &a.model, a_px) == (&b.make, &b.model, b_px) && is_same_focal
+}
+
+/// Photos of one camera share its lens.
 fn cameras(
     photos: &mut [Photo],
     sources: &Sources<'_>,
@@ -315,7 +336,8 @@ fn cameras(
         Some(path) => Some((path.as_path(), rowgram_files::camera::read(path)?)),
         None => None,
     };
-    let mut groups: Vec<(String, [u32; 2])> = Vec::new();
+    // The first photo of each.
+    let mut groups: Vec<usize> = Vec::new();
     let mut cameras = Vec::new();
     // A photo without metadata has the camera of the others of its size, if there is one.
     let described: Vec<(usize, [u32; 2])> = photos
@@ -341,14 +363,18 @@ fn cameras(
             Some(focal) => format!("{} {} {focal:.3} mm", metadata.make, metadata.model),
             None => format!("{} {} unknown camera", metadata.make, metadata.model),
         };
-        let label = label.trim().to_owned();
-        let key = (label.clone(), size_px);
-        let place = groups.iter().position(|group| *group == key);
-        let place = match place {
+        let label = label.trim();
+        let is_of = |first: &usize| {
+            let first = &photos[*first];
+            is_same_camera((metadata, size_px), (&first.metadata, first.size_px))
+        };
+        let place = match groups.iter().position(is_of) {
             Some(place) => place,
             None => {
-                groups.push(key);
-                cameras.push(start(&label, size_px, metadata, sources.model, given.as_ref())?);
+                groups.push(like);
+                let name = photos[k].name.as_str();
+                let names = (label, name);
+                cameras.push(start(names, size_px, metadata, sources.model, given.as_ref())?);
                 groups.len() - 1
             }
         };
@@ -374,7 +400,7 @@ fn cameras(
 }
 
 fn start(
-    label: &str,
+    (label, photo): (&str, &str),
     size_px: [u32; 2],
     metadata: &Metadata,
     model: Model,
@@ -382,9 +408,9 @@ fn start(
 ) -> Result<(Camera, Option<String>), Error> {
     if let Some((path, camera)) = given {
         if camera.interior.size_px() != size_px {
+            let [[width, height], [own_width, own_height]] = [camera.interior.size_px(), size_px];
             let message = format!(
-                "it is for images of {:?} pixels, these are {size_px:?}",
-                camera.interior.size_px()
+                "it is for images of {width} x {height} pixels, {photo} has {own_width} x {own_height}: take photos of another size out of the folder, or give the camera of these photos"
             );
             return Err(FileError::malformed(path, None, message).into());
         }
@@ -403,4 +429,32 @@ fn start(
 /// The names of the photos, to match other names against.
 pub(super) fn names(photos: &[Photo]) -> Names<'_> {
     Names::new(photos.iter().map(|photo| photo.name.as_str()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn focal_lengths_of_one_lens_may_differ_a_little() {
+        let head = |focal_mm: f64| Metadata { focal_mm: Some(focal_mm), ..Metadata::default() };
+        let is_same = |a: f64, b: f64, b_px: [u32; 2]| {
+            is_same_camera((&head(a), [4000, 3000]), (&head(b), b_px))
+        };
+        assert!(is_same(4.301, 4.312, [4000, 3000]));
+        assert!(!is_same(4.3, 4.6, [4000, 3000]));
+        assert!(!is_same(4.3, 4.3, [160, 120]));
+        let unknown = Metadata::default();
+        assert!(!is_same_camera((&head(4.3), [40, 30]), (&unknown, [40, 30])));
+    }
+
+    #[test]
+    fn a_photo_that_is_not_of_the_given_camera_is_named() {
+        let camera = without_distortion("given", Model::Brown, [4000, 3000], 3500.0).unwrap();
+        let given = (Path::new("camera.toml"), camera);
+        let names = ("", "thumb.jpg");
+        let error = start(names, [160, 120], &Metadata::default(), Model::Brown, Some(&given));
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains("thumb.jpg has 160 x 120"), "{error}");
+    }
 }

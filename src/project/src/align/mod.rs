@@ -26,7 +26,7 @@ mod steps;
 mod surveyed;
 
 pub(super) use descriptor_store::DESCRIPTORS_IN_MEMORY_BYTES;
-pub(super) use ground::plan_m;
+pub(super) use ground::{plan_m, without_heights};
 pub use options::{AlignOptions, Step};
 pub use outcome::{AlignOutcome, Fragment, PartialReport, PointErrors};
 pub use parts::{find_features, match_pairs};
@@ -64,9 +64,10 @@ impl Task for AlignTask {
         let mut files = project.photos();
         if files.len() < 3 {
             return Err(Error::NothingToDo(format!(
-                "{}: {} photos (JPEG, PNG, TIFF) here or in images/; at least 3 are needed",
+                "{}: {} photos (JPEG, PNG, TIFF) {}; at least 3 are needed",
                 project.root().display(),
-                files.len()
+                files.len(),
+                project.photo_place()
             )));
         }
         files.extend(inputs::beside(project));

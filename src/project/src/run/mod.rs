@@ -387,7 +387,8 @@ pub(super) fn check_input(project: &Project) -> Result<(), Error> {
     }
     let number = if photos == 0 { "no".to_owned() } else { format!("only {photos}") };
     let message = format!(
-        "{number} photos (in images/ or directly) and no orthomosaic; expected {LEAST_PHOTOS} photos or more ({})",
+        "{number} photos {} and no orthomosaic; expected {LEAST_PHOTOS} photos or more ({})",
+        project.photo_place(),
         super::PHOTO_ENDINGS.join(", ")
     );
     Err(FileError::malformed(project.root(), None, message).into())
