@@ -27,7 +27,7 @@ use std::path::PathBuf;
 /// Writes into the folder season beside season.toml (NAME-season beside NAME.toml): flights.csv, traits_long.csv, plants_long.csv, growth.csv, season.json,
 /// report.html. A flight that is added later changes nothing of the others.
 ///
-/// Exit code 3 where a flight takes no part, or has a stage that failed or red quality checks.
+/// Exit code 3 where a flight takes no part or has a stage that failed.
 #[derive(Debug, clap::Args)]
 #[command(
     verbatim_doc_comment,
@@ -52,8 +52,7 @@ pub(super) struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A file or settings that cannot be understood, and [`Error::Incomplete`] where a flight takes no part, or has a stage that failed or red
-/// checks.
+/// A file or settings that cannot be understood, and [`Error::Incomplete`] where a flight takes no part or has a stage that failed.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let file = SeasonFile::read(&args.file)?;
     let mut terminal = Terminal::new();
@@ -69,12 +68,10 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         .flights
         .iter()
         .filter_map(|flight| {
-            let fault = match (&flight.placement, &flight.failure, flight.red_checks) {
-                (None, _, _) => "takes no part".to_owned(),
-                (Some(_), Some(why), _) => format!("has a stage that failed: {why}"),
-                (Some(_), None, 0) => return None,
-                (Some(_), None, 1) => "has 1 red check (see its report)".to_owned(),
-                (Some(_), None, n) => format!("has {n} red checks (see its report)"),
+            let fault = match (&flight.placement, &flight.failure) {
+                (None, _) => "takes no part".to_owned(),
+                (Some(_), Some(why)) => format!("has a stage that failed: {why}"),
+                (Some(_), None) => return None,
             };
             Some(format!("{} {fault}", flight.date))
         })
@@ -104,7 +101,12 @@ fn summary(outcome: &SeasonOutcome) -> String {
             },
         };
         let plants = flight.plants.map(|plants| format!(", {plants} plants")).unwrap_or_default();
-        text += &format!("\n  {}  day {:<5} {frame}{plants}", flight.date, flight.day);
+        let red = match flight.red_checks {
+            0 => String::new(),
+            1 => ", 1 red check (see its report)".to_owned(),
+            n => format!(", {n} red checks (see its report)"),
+        };
+        text += &format!("\n  {}  day {:<5} {frame}{plants}{red}", flight.date, flight.day);
     }
     for of in &outcome.traits {
         let fitted = of.plots.iter().filter(|plot| plot.curve.is_some()).count();
