@@ -253,7 +253,7 @@ impl CameraPlaces {
     /// Whether any place is in metres of the table's system.
     pub fn needs_system(&self) -> bool {
         self.rows.iter().any(|row| matches!(row.place, Place::Metres(_)))
-            && !self.system.as_deref().is_some_and(|words| is_geographic(words) == Ok(true))
+            && self.system.as_deref().is_none_or(|words| is_geographic(words) != Ok(true))
     }
 }
 

@@ -251,8 +251,18 @@ fn nothing_matches(aside: &[Excluded], names: &Names<'_>) -> String {
     )
 }
 
-/// Reads camera positions; those of images that are not in the block are set aside by name. Also the words by which the
-/// table names its reference system.
+/// Camera positions of a table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraPositions {
+    /// Those of images of the block.
+    pub found: Vec<CameraPosition>,
+    /// Rows of images that are not in the block.
+    pub aside: Vec<Excluded>,
+    /// The words by which the table names its reference system.
+    pub system: Option<String>,
+}
+
+/// Reads camera positions; those of images that are not in the block are set aside by name.
 ///
 /// # Errors
 /// Missing columns, fields that are no numbers, an image that is there twice, degrees, no image that
@@ -261,7 +271,7 @@ pub fn positions(
     path: &Path,
     names: &Names<'_>,
     defaults: &Defaults,
-) -> Result<(Vec<CameraPosition>, Vec<Excluded>, Option<String>), FileError> {
+) -> Result<CameraPositions, FileError> {
     let table = Table::read(path)?;
     let image = table.required("image", IMAGE)?;
     let coordinates = Coordinates::in_metres(&table)?;
@@ -285,7 +295,7 @@ pub fn positions(
     if found.is_empty() {
         return Err(table.whole_fault(nothing_matches(&aside, names)));
     }
-    Ok((found, aside, system(&table)?))
+    Ok(CameraPositions { found, aside, system: system(&table)? })
 }
 
 /// Reads scale bars.

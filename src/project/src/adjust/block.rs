@@ -137,12 +137,11 @@ fn assemble(
         unmatched.extend(rest);
     }
     if let Some(path) = &options.positions {
-        let (positions, rest, system) =
-            control::positions(path, &Names::of(&survey.images), &defaults)?;
-        check_system(path, system.as_deref(), &survey.reference)?;
-        survey.positions = positions;
+        let positions = control::positions(path, &Names::of(&survey.images), &defaults)?;
+        check_system(path, positions.system.as_deref(), &survey.reference)?;
+        survey.positions = positions.found;
         survey.lever_arm_m = options.lever_arm_m;
-        unmatched.extend(rest);
+        unmatched.extend(positions.aside);
     }
     if let Some(path) = &options.scale_bars {
         survey.scale_bars = control::scale_bars(path, &survey.ground)?;

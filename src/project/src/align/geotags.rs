@@ -129,14 +129,13 @@ pub(super) fn geotags(
     if !used.is_empty() {
         place::check_tables(&own, &tags)?;
     }
-    if let Some((path, others)) = sources.positions.of_all.split_first() {
-        if !others.is_empty() {
-            let names: Vec<String> = others.iter().map(|path| name_of(path)).collect();
-            let message =
-                format!("positions are those of {}; this file is not used", name_of(path));
-            let found = Diagnostic::info("positions-file-unused", names.join(", "), message);
-            monitor.diagnostic(&found.with_remedy("name another with [project] positions"));
-        }
+    if let Some((path, others)) = sources.positions.of_all.split_first()
+        && !others.is_empty()
+    {
+        let names: Vec<String> = others.iter().map(|path| name_of(path)).collect();
+        let message = format!("positions are those of {}; this file is not used", name_of(path));
+        let found = Diagnostic::info("positions-file-unused", names.join(", "), message);
+        monitor.diagnostic(&found.with_remedy("name another with [project] positions"));
     }
     place::drop_far(photos, &mut tags, monitor);
     drop_one_place(&mut tags, monitor);

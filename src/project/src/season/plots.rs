@@ -123,10 +123,7 @@ mod tests {
         withdraw_others(&["2024-06-01"], results.path()).unwrap();
         let is_there = |name: &&str| folder.join(name).exists();
         let names = ["2024-05-01.geojson", "2024-06-01.geojson", "mine.geojson"];
-        assert_eq!(
-            names.iter().map(|name| is_there(name)).collect::<Vec<_>>(),
-            [false, true, true]
-        );
+        assert_eq!(names.iter().map(is_there).collect::<Vec<_>>(), [false, true, true]);
     }
 
     #[test]
