@@ -1,8 +1,10 @@
 //! Words by which other programs call the columns of their tables; the first of each list is our own.
 
-use super::FileError;
-use super::control::Defaults;
-use super::table::{Column, Row, Table};
+use super::{
+    FileError,
+    control::Defaults,
+    table::{Column, Row, Table},
+};
 use rowgram_optim::robust::median;
 
 /// A photo.

@@ -210,7 +210,7 @@ pub fn count_leaves(
     Ok(LeafCountOutcome { rho_px: calibration.rho, is_orthorectified, counts })
 }
 
-/// A region of which the raster shows less than this is doubtful: leaves were counted in all of it.
+/// A region of which the raster shows less than this is doubtful: leaves were counted in all of it. Pixels at its edge may differ by rounding.
 const WHOLE_REGION: f64 = 0.99;
 
 /// Leaf pixels and counted leaves of the regions. Names those that give a wrong size of a leaf.

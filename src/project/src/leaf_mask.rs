@@ -36,7 +36,7 @@ const _: () = assert!(BAND_ROWS.is_multiple_of(Estimator::ROWS));
 /// Most sweeps of iterated conditional modes; hardly a pixel changes after the third.
 pub(super) const SWEEPS: usize = 4;
 
-/// A given ground sampling distance that differs from that of the raster by this share is told.
+/// A given ground sampling distance that differs from that of the raster by more than this share is told: rounding and the scale of projections make less. Assumed.
 const GSD_TOLERANCE: f64 = 0.05;
 
 /// The ground sampling distance of a picture, metres: the given one, else its own. Says so where the two contradict each other.

@@ -23,10 +23,10 @@ const HALF: f64 = 0.5;
 /// From this solidity on rows are closed: one-row plots of soybean have 0.99, and crops whose plants are told by votes 0.58 to 0.81 (ten kinds of
 /// synthetic masks, four maps of synthetic flights at late stages, sorghum). In the middle between, so neither is left out.
 const SOLID: f64 = 0.9;
-/// Rows of young plants are solid, too, where most lines across them meet one leaf or none. They leave this share of the lines without leaf (0.13 to 0.34 on six photos of
-/// sorghum and four synthetic ones), or are at most this many times as wide as the leaf in them, as closed rows with alleys are (a trial of soybean: 1.2; those photos: 1.7 to 3.2).
-/// Synthetic rows of which photos hardly show plants leave 0.02 at most. No set was left out.
+/// Closed rows leave at most this share of the lines across them without leaf, or are no wider than [`WIDTHS`]. Lines across rows of young plants meet one leaf or none, which
+/// is solid, too, but 0.13 to 0.34 of them meet none (six photos of sorghum, four synthetic photos). No set was left out.
 const BARE: f64 = 0.05;
+/// Closed rows with alleys are at most this many times as wide as the leaf in them: a trial of soybean has 1.2, those photos 1.7 to 3.2. No set was left out.
 const WIDTHS: f64 = 1.4;
 
 /// Places along the rows of a field, a pixel apart. The line of a row goes on before its first leaf and behind its last: there plots may have
@@ -318,7 +318,8 @@ mod tests {
         let other = rows().into_iter().map(|[[_, v], _]| [[150.0, v + 9.0], [199.0, v + 9.0]]);
         let both = cover(None, &to(99.0).chain(other).collect::<Vec<_>>());
         assert_eq!(
-            both.within(area(&rectangle([150.0, 0.0], [199.0, 59.5])), &all(&both)).len(),
+            both.within(area(&rectangle([150.0, 0.0], [199.0, 59.5])), &in_last_quarter(&both))
+                .len(),
             150
         );
         // Of 40 px without leaf the raster shows 15 at either end: too short for gaps.
@@ -331,8 +332,7 @@ mod tests {
         Area { name: "", polygon, is_field: false }
     }
 
-    /// The places in the last quarter of the raster.
-    fn all(cover: &RowCover) -> Vec<usize> {
+    fn in_last_quarter(cover: &RowCover) -> Vec<usize> {
         (0..cover.places_px.len()).filter(|&k| cover.places_px[k][0] >= 150.0).collect()
     }
 

@@ -39,7 +39,7 @@ pub fn row_direction(plants: &[[f64; 2]], rows: &[f64]) -> Option<[f64; 2]> {
     (!of_row.is_empty()).then_some([cos, sin])
 }
 
-/// A row in a plot has at least this share of the plants of its middle row; what has fewer is the end of a row of the neighbour.
+/// A row in a plot has at least this share of the plants of its middle row; what has fewer is the end of a row of the neighbour. Assumed, not compared with others.
 const LEAST_OF_ROW: f64 = 1.0 / 3.0;
 
 /// A plot without its outer rows of plants, so many on either side: cut in the middle between the last row that is left out

@@ -281,6 +281,7 @@ pub(super) fn check_systems(maps: &[DateMap]) -> Result<(), FileError> {
 
 /// Whether numbers of two maps mean the same places, as far as their systems are known.
 fn is_same_frame(own: &Georeference, other: &Georeference) -> bool {
+    // Systems that differ in name only agree to rounding.
     const SAME_M: f64 = 0.01;
     let [x, y] = own.origin;
     let moved = Transfer::between(&own.crs, &other.crs).at([x, y]);
