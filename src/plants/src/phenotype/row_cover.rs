@@ -243,10 +243,20 @@ fn across_rows(mask: &Mask, rows: &Rows) -> Option<Across> {
     })
 }
 
-/// Whether the canopy has closed along its rows, so that nothing tells its plants apart.
-pub(super) fn is_closed(mask: &Mask, rows: &Rows) -> bool {
-    across_rows(mask, rows).is_some_and(|Across { solidity, width_px, bare }| {
-        solidity >= SOLID && (bare <= BARE || width_px <= WIDTHS * stroke_px(mask))
+/// Rows of solid leaf: no line across them shows blades side by side.
+pub(super) struct SolidRows {
+    /// Whether the canopy has closed along them, so that nothing tells its plants apart.
+    pub(super) is_closed: bool,
+    /// How wide they are where there is leaf.
+    pub(super) width_px: f64,
+}
+
+/// The rows, where they are solid.
+pub(super) fn solid_rows(mask: &Mask, rows: &Rows) -> Option<SolidRows> {
+    let Across { solidity, width_px, bare } = across_rows(mask, rows)?;
+    (solidity >= SOLID).then(|| SolidRows {
+        is_closed: bare <= BARE || width_px <= WIDTHS * stroke_px(mask),
+        width_px,
     })
 }
 
@@ -353,12 +363,10 @@ mod tests {
             let leaf = |k: usize| (k * k * 7 + 31 * (v / 20)) % 195;
             v % 20 >= 6 && v % 20 < 14 && (0..14).any(|k| (leaf(k)..leaf(k) + 3).contains(&u))
         });
-        for (mask, is_solid, expected) in
-            [(closed, true, true), (crossed, false, false), (young, true, false)]
-        {
-            let across = across_rows(&mask, rows).unwrap();
-            assert_eq!(across.solidity >= SOLID, is_solid, "{across:?}");
-            assert_eq!(is_closed(&mask, rows), expected, "{across:?}, {}", stroke_px(&mask));
+        for (mask, expected) in [(closed, Some(true)), (crossed, None), (young, Some(false))] {
+            let is_closed = solid_rows(&mask, rows).map(|solid| solid.is_closed);
+            let across = across_rows(&mask, rows);
+            assert_eq!(is_closed, expected, "{across:?}, {}", stroke_px(&mask));
         }
     }
 }

@@ -97,7 +97,7 @@ pub enum Doubt {
     Narrow {
         /// The distance between them.
         spacing_px: f64,
-        /// Diameter of a disc with the leaf area of a plant.
+        /// Diameter of a disc with the leaf area of a plant; where leaf area tells no plants, the width of the rows.
         width_px: f64,
     },
     /// Leaves are so wide that they hardly tell how far apart plants are.
@@ -156,6 +156,8 @@ impl Doubt {
             Doubt::Unclear { .. } | Doubt::Specks { .. } => [0.2, 4.0, 1.0],
             // Their confidence is low enough: 0.61 for a precision of 0.89 on 16 masks of maps of fields of 12 to 15 cm.
             Doubt::Crowded { .. } => [1.0, 2.0, 0.0],
+            // As few as if plants were as far apart as they are wide.
+            Doubt::Narrow { spacing_px, width_px } => [0.7, 2.0, 1.0 - spacing_px / width_px],
             _ => [0.7, 2.0, 0.0],
         };
         DoubtWeight { confidence, wider, half_width }
@@ -273,10 +275,14 @@ impl Stand {
                 }
             }
             None => {
-                let has_closed =
-                    |mask| row_cover::is_closed(mask, &self.rows) || broad_leaves::is_broad(mask);
-                if mask.is_some_and(has_closed) {
+                let solid = mask.and_then(|mask| row_cover::solid_rows(mask, &self.rows));
+                let has_closed = solid.as_ref().is_some_and(|rows| rows.is_closed);
+                if has_closed || mask.is_some_and(broad_leaves::is_broad) {
                     self.doubts.push(Doubt::Closed);
+                } else if let Some(width_px) =
+                    solid.map(|rows| rows.width_px).filter(|&width_px| spacing < width_px)
+                {
+                    self.doubts.push(Doubt::Narrow { spacing_px: spacing, width_px });
                 }
                 let leaf_px = mask.map_or(0.0, evidence::stroke_px);
                 if spacing < LEAVES_APART * leaf_px {

@@ -61,7 +61,7 @@ pub(super) fn tell(stand: &Stand, subject: &str, monitor: &mut dyn Monitor) {
             ),
             Doubt::Narrow { spacing_px, width_px } => (
                 format!(
-                    "plants are {spacing_px:.1} px apart and have the leaf of a disc {width_px:.1} px wide: plants of a row that are not told apart, or leaves taken for plants"
+                    "plants of a row are {spacing_px:.1} px apart and {width_px:.1} px wide: they are not told apart, or leaves are taken for plants"
                 ),
                 "look at figures/plants.png; count on an earlier photo, or give the number of plants (plants)",
             ),
