@@ -46,12 +46,15 @@ fn dead_files_and_doubles_are_named_and_a_name_of_no_system_is_refused() {
     save("a.png", 10);
     save("b.png", 200);
     save("e.png", 90);
-    fs::copy(images.join("a.png"), images.join("c.png")).unwrap();
+    fs::copy(images.join("a.png"), images.join("a (1).png")).unwrap();
+    fs::create_dir(images.join("@eaDir")).unwrap();
+    fs::copy(images.join("e.png"), images.join("@eaDir/thumbnail.png")).unwrap();
     fs::write(images.join("d.jpg"), b"no picture").unwrap();
     let run = rowgram(folder.path(), "align . --until inspect");
     assert_eq!(run.code, 0);
     let said = run.stderr;
-    assert!(said.contains("c.png: left out: it is the same file as a.png"), "{said}");
+    assert!(said.contains("a (1).png: left out: it is the same file as a.png"), "{said}");
+    assert!(!said.contains("thumbnail"), "{said}");
     assert!(said.contains("d.jpg: left out: it is no picture"), "{said}");
 
     let run = rowgram(folder.path(), "align . --crs EPSG:99999");

@@ -180,7 +180,28 @@ fn heights_that_jump_do_not_bend_a_block_with_control() {
         for check in &found.adjusted.check_points {
             assert!(check.error_m.iter().all(|e| e.abs() < 0.12), "{jump}: {check:?}");
         }
+        for group in &found.adjusted.statistics.groups {
+            let most = group.observations as f64 + 1e-6;
+            assert!((0.0..=most).contains(&group.redundancy), "{group:?}");
+        }
     }
+}
+
+#[test]
+fn positions_that_a_bent_block_contradicts_take_part_in_the_end() {
+    let flown = Flight { points: 1200, ..Flight::default() }.fly();
+    let (tracks, pairs) = tracks(&flown);
+    let blocks = grow(&flown, &tracks, &pairs);
+    let mut given = known(&flown);
+    for position in &mut given.positions {
+        position.position_m = flown.poses[position.image as usize].centre_m();
+        position.sigma_m = [0.005; 3];
+    }
+    given.ground.iter_mut().for_each(|point| point.role = Role::Check);
+    let found = adjusted_told(&flown, &given, blocks, true);
+    let said = found.diagnostics.iter().filter(|d| d.code == "position-rejected").count();
+    assert_eq!(said, 0, "{:?}", found.diagnostics);
+    assert_eq!(found.adjusted.reconstruction.positions.len(), flown.poses.len());
 }
 
 #[test]

@@ -101,15 +101,15 @@ impl Metadata {
 /// As [`read`], from a file's bytes.
 pub fn parse(bytes: &[u8]) -> Metadata {
     let mut found = Metadata { orientation: 1, ..Metadata::default() };
-    let mut xmp = None;
+    let (mut xmp, mut step_deg) = (None, 0.0);
     match Reader::new().continue_on_error(true).read_from_container(&mut Cursor::new(bytes)) {
         Ok(exif) => {
-            from_exif(&exif, &mut found);
+            step_deg = from_exif(&exif, &mut found);
             xmp = xmp::of_tiff(&exif);
         }
         Err(exif::Error::PartialResult(partial)) => {
             let (exif, errors) = partial.into_inner();
-            from_exif(&exif, &mut found);
+            step_deg = from_exif(&exif, &mut found);
             xmp = xmp::of_tiff(&exif);
             // A file without a thumbnail, or with a wrong one, lacks nothing that counts.
             let lost = errors.iter().map(ToString::to_string);
@@ -122,7 +122,7 @@ pub fn parse(bytes: &[u8]) -> Metadata {
         Err(_) => {}
     }
     if let Some(text) = xmp.or_else(|| xmp::of_file(bytes)) {
-        xmp::read(&text, &mut found);
+        xmp::read(&text, &mut found, step_deg);
     }
     found
 }
@@ -145,7 +145,8 @@ fn number(value: &Value, k: usize) -> Option<f64> {
     number.is_finite().then_some(number)
 }
 
-fn from_exif(exif: &exif::Exif, found: &mut Metadata) {
+/// What EXIF tells; the step to which it rounds positions, degrees.
+fn from_exif(exif: &exif::Exif, found: &mut Metadata) -> f64 {
     let value = |tag: Tag| exif.get_field(tag, In::PRIMARY).map(|field| &field.value);
     let text = |tag: Tag| match value(tag) {
         Some(Value::Ascii(lines)) => lines
@@ -223,6 +224,18 @@ fn from_exif(exif: &exif::Exif, found: &mut Metadata) {
             Geotag { latitude_deg, longitude_deg, height_m, sigma_m: None }
         },
     );
+    [Tag::GPSLatitude, Tag::GPSLongitude]
+        .into_iter()
+        .filter_map(value)
+        .map(step_deg)
+        .fold(0.0, f64::max)
+}
+
+/// The step to which degrees, minutes and seconds are rounded.
+fn step_deg(value: &Value) -> f64 {
+    let Value::Rational(parts) = value else { return 0.0 };
+    let step = |(part, unit): (&exif::Rational, f64)| unit / f64::from(part.denom.max(1));
+    parts.iter().zip([1.0, 1.0 / 60.0, 1.0 / 3600.0]).map(step).reduce(f64::min).unwrap_or(0.0)
 }
 
 /// Widths of sensors, millimetres, of cameras whose files do not tell them, by parts of maker and

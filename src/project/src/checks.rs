@@ -160,23 +160,8 @@ fn of_block(outcome: &RunOutcome, limits: &ChecksOptions, found: &mut Vec<Diagno
         Diagnostic::new(severity, "reprojection", "reprojection", format!("rms {rms:.2} px")),
         "try another lens model, or a calibrated camera",
     ));
-    let control = align.control_points.count;
-    found.push(if !align.georeferenced {
-        Diagnostic::error("georeference", "georeference", "the block has no scale and no place in a mapping frame")
-            .with_remedy("give camera positions or ground control points")
-    } else if control < limits.min_control_points {
-        Diagnostic::warning(
-            "georeference",
-            "georeference",
-            format!("{control} control points: place and height are those of the camera positions, which may be metres off"),
-        )
-        .with_remedy("measure three or more ground control points")
-    } else {
-        Diagnostic::info("georeference", "georeference", format!("{control} control points"))
-    });
-    let errors = &align.check_points;
-    let worst = [errors.rmse_x_m, errors.rmse_y_m, errors.rmse_z_m];
-    let worst = worst.into_iter().flatten().reduce(f64::max);
+    found.push(georeference(align, limits));
+    let worst = align.check_points.worst_m();
     found.push(match worst.zip(align.gsd_m) {
         Some((worst_m, gsd_m)) => {
             let ratio = worst_m / gsd_m;
@@ -197,6 +182,50 @@ fn of_block(outcome: &RunOutcome, limits: &ChecksOptions, found: &mut Vec<Diagno
         )
         .with_remedy("name some ground points in [align] check"),
     });
+}
+
+/// What places a block in its frame, and whether its control contradicts it.
+pub(crate) fn georeference(align: &AlignOutcome, limits: &ChecksOptions) -> Diagnostic {
+    let control = align.control_points.count;
+    let worst = align.control_points.worst_m().zip(align.gsd_m).zip(align.control_sigma0);
+    let misfit = worst.map(|(worst, sigma0)| control_misfit(worst, sigma0, limits));
+    let (misfit, misfits) = misfit.unwrap_or((Severity::Info, String::new()));
+    if !align.georeferenced {
+        Diagnostic::error(
+            "georeference",
+            "georeference",
+            "the block has no scale and no place in a mapping frame",
+        )
+        .with_remedy("give camera positions or ground control points")
+    } else if control < limits.min_control_points {
+        Diagnostic::warning(
+            "georeference",
+            "georeference",
+            format!("{control} control points: place and height are those of the camera positions, which may be metres off"),
+        )
+        .with_remedy("measure three or more ground control points")
+    } else {
+        let message = format!("{control} control points{misfits}");
+        remedied(
+            Diagnostic::new(misfit, "georeference", "georeference", message),
+            "check that their coordinates have all decimals, their units and their marks in the photos",
+        )
+    }
+}
+
+/// Whether control points are farther from the block than check points may be, and than they were said to be accurate; and the words for it.
+fn control_misfit(
+    (worst_m, gsd_m): (f64, f64),
+    sigma0: f64,
+    limits: &ChecksOptions,
+) -> (Severity, String) {
+    let by_errors = [limits.check_points_yellow_gsd, limits.check_points_red_gsd];
+    let severity = rising(worst_m / gsd_m, by_errors)
+        .min(rising(sigma0, [limits.sigma0_yellow, limits.sigma0_red]));
+    let message = format!(
+        ", which the block misses by up to {worst_m:.2} m (rmse along an axis), {sigma0:.0} times their accuracy"
+    );
+    (severity, if severity == Severity::Info { String::new() } else { message })
 }
 
 fn of_accuracy(reconstruction: &Reconstruction, limits: &ChecksOptions) -> Option<Diagnostic> {
@@ -263,6 +292,22 @@ mod tests {
         let message = refused("oriented_yellow = 0.8");
         assert_eq!(message, "oriented_yellow = 0.8: expected at least oriented_red, which is 0.9");
         ChecksOptions::default().validate().unwrap();
+    }
+
+    #[test]
+    fn control_contradicts_a_block_beyond_its_accuracy_and_some_pixels() {
+        let limits = ChecksOptions::default();
+        for (worst_m, sigma0, expected) in [
+            (2.7, 99.5, Severity::Error),
+            // As accurate as was said, or within a few pixels.
+            (2.7, 1.1, Severity::Info),
+            (0.02, 9.0, Severity::Info),
+            (0.04, 9.0, Severity::Warning),
+        ] {
+            let (severity, words) = control_misfit((worst_m, 0.015), sigma0, &limits);
+            assert_eq!(severity, expected, "{worst_m} {sigma0}");
+            assert_eq!(words.contains("times their accuracy"), severity > Severity::Info);
+        }
     }
 
     #[test]

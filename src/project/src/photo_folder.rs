@@ -74,6 +74,12 @@ fn pictures_in(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
+/// Whether a folder of this name holds copies that a system made: hidden ones, thumbnails and bins of network storage, what is left of archives.
+fn is_of_system(name: &str) -> bool {
+    name.starts_with(['.', '@', '#'])
+        || ["__MACOSX", "thumbnails"].iter().any(|of| name.eq_ignore_ascii_case(of))
+}
+
 fn subfolders(folder: &Path, any: bool) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let mut found: Vec<PathBuf> = entries
@@ -82,7 +88,7 @@ fn subfolders(folder: &Path, any: bool) -> Vec<PathBuf> {
         .filter(|path| {
             let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
             path.is_dir()
-                && name.is_some_and(|name| !name.starts_with('.') && (any || is_of_card(&name)))
+                && name.is_some_and(|name| !is_of_system(&name) && (any || is_of_card(&name)))
         })
         .collect();
     found.sort();

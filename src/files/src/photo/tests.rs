@@ -181,6 +181,14 @@ fn positions_come_from_xmp_where_exif_has_none() {
     ));
     assert!((both.geotag.unwrap().latitude_deg - 40.47).abs() < 0.01);
     assert_eq!(both.band.as_deref(), Some("NIR"));
+    // The same position, which EXIF rounds to a hundredth of a second; half a metre away it is another.
+    for (longitude, expected) in [(-86.992_042_1, -86.992_042_1), (-86.992_038, -86.992_044_4)] {
+        let xmp = format!(
+            "<x:xmpmeta drone-dji:GpsLatitude=\"40.4718655\" drone-dji:GpsLongitude=\"{longitude}\"></x:xmpmeta>"
+        );
+        let tag = parse(&photo_with_exif(&Next::None, &Next::None, &xmp)).geotag.unwrap();
+        assert!((tag.longitude_deg - expected).abs() < 1e-7, "{tag:?}");
+    }
 }
 
 #[test]

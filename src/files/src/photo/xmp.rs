@@ -95,8 +95,8 @@ fn degrees(text: &str, name: &str) -> Option<f64> {
     Some(sign * sum)
 }
 
-/// What XMP tells beyond EXIF.
-pub(super) fn read(text: &str, found: &mut Metadata) {
+/// What XMP tells beyond EXIF, which rounds positions to a step.
+pub(super) fn read(text: &str, found: &mut Metadata, step_deg: f64) {
     let of = |name: &str| number(text, name);
     found.gimbal_deg = of("GimbalYawDegree")
         .zip(of("GimbalPitchDegree"))
@@ -105,18 +105,27 @@ pub(super) fn read(text: &str, found: &mut Metadata) {
     found.height_above_take_off_m = of("RelativeAltitude");
     found.band = value(text, "BandName").filter(|name| !name.is_empty()).map(str::to_owned);
     let absolute_m = of("AbsoluteAltitude");
-    if found.geotag.is_none() {
-        let latitude = of("GpsLatitude").or_else(|| degrees(text, "GPSLatitude"));
-        // One maker's firmware misspells it.
-        let longitude = of("GpsLongitude")
-            .or_else(|| of("GpsLongtitude"))
-            .or_else(|| degrees(text, "GPSLongitude"));
-        found.geotag =
-            latitude.zip(longitude).filter(|(lat, lon)| is_place(*lat, *lon)).map(|(lat, lon)| {
+    let latitude = of("GpsLatitude").or_else(|| degrees(text, "GPSLatitude"));
+    // One maker's firmware misspells it.
+    let longitude = of("GpsLongitude")
+        .or_else(|| of("GpsLongtitude"))
+        .or_else(|| degrees(text, "GPSLongitude"));
+    if let Some((lat, lon)) = latitude.zip(longitude).filter(|(lat, lon)| is_place(*lat, *lon)) {
+        match &mut found.geotag {
+            // The same position before it was rounded.
+            Some(geotag) => {
+                let off = (geotag.latitude_deg - lat).abs().max((geotag.longitude_deg - lon).abs());
+                if off <= step_deg {
+                    (geotag.latitude_deg, geotag.longitude_deg) = (lat, lon);
+                }
+            }
+            None => {
                 let below = matches!(value(text, "GPSAltitudeRef"), Some("1" | "3"));
                 let height_m = of("GPSAltitude").map(|height| if below { -height } else { height });
-                Geotag { latitude_deg: lat, longitude_deg: lon, height_m, sigma_m: None }
-            });
+                found.geotag =
+                    Some(Geotag { latitude_deg: lat, longitude_deg: lon, height_m, sigma_m: None });
+            }
+        }
     }
     let Some(geotag) = &mut found.geotag else { return };
     if absolute_m.is_some() {

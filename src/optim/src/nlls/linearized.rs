@@ -1,6 +1,6 @@
 //! The factors of one batch at one point, for statistics.
 
-use super::problem::{BlockId, Problem};
+use super::problem::{BlockId, NamedBatch, Problem};
 use crate::engine::SolveError;
 
 /// The blocks of a factor, its residual, and its Jacobian row by row.
@@ -13,11 +13,7 @@ impl Problem {
     /// [`SolveError::Misuse`] where there is no such batch, [`SolveError::InfeasibleStart`] where
     /// one of its factors cannot be evaluated.
     pub fn linearized(&self, x: &[f64], name: &str) -> Result<Vec<LinearizedFactor>, SolveError> {
-        let named = self
-            .batches
-            .iter()
-            .find(|named| named.name == name)
-            .ok_or_else(|| SolveError::Misuse(format!("there is no batch {name:?}")))?;
+        let named = self.named(name)?;
         let (rows, width) = (named.batch.rows(), named.width);
         (0..named.batch.len())
             .map(|factor| {
@@ -36,5 +32,22 @@ impl Problem {
                 Ok((named.batch.blocks(factor).to_vec(), residual, jacobian))
             })
             .collect()
+    }
+
+    /// The blocks of every factor of a batch.
+    ///
+    /// # Errors
+    /// [`SolveError::Misuse`] where there is no such batch.
+    pub fn factor_blocks(
+        &self,
+        name: &str,
+    ) -> Result<impl Iterator<Item = &[BlockId]>, SolveError> {
+        let named = self.named(name)?;
+        Ok((0..named.batch.len()).map(|factor| named.batch.blocks(factor)))
+    }
+
+    fn named(&self, name: &str) -> Result<&NamedBatch, SolveError> {
+        let found = self.batches.iter().find(|named| named.name == name);
+        found.ok_or_else(|| SolveError::Misuse(format!("there is no batch {name:?}")))
     }
 }

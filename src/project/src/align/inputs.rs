@@ -97,6 +97,8 @@ pub(super) struct Inputs {
     pub(super) tags: Vec<Option<Geotag>>,
     /// Photos that are left out, and why.
     pub(super) left_out: Vec<(String, String)>,
+    /// Files that are the same as a photo, and as which.
+    pub(super) copies: Vec<(String, String)>,
 }
 
 impl Inputs {
@@ -219,26 +221,29 @@ pub(super) fn inspect(
     let read = known_photos::read(project, &files, store)?;
     set_aside(project, monitor);
     let mut photos: Vec<Photo> = Vec::new();
-    let mut left_out = Vec::new();
-    let mut seen: HashMap<Key, String> = HashMap::new();
+    let (mut left_out, mut copies) = (Vec::new(), Vec::new());
+    // Names of copies are longer: "IMG_1 (1).JPG".
+    let mut originals: HashMap<Key, String> = HashMap::new();
+    for photo in read.iter().flatten() {
+        let name = originals.entry(photo.content).or_insert_with(|| photo.name.clone());
+        if photo.name.len() < name.len() {
+            name.clone_from(&photo.name);
+        }
+    }
     for photo in read {
         match photo {
             Err(fault) => left_out.push(fault),
-            Ok(photo) => match seen.get(&photo.content) {
-                Some(other) => {
-                    let reason = format!("it is the same file as {other}");
-                    left_out.push((photo.name.clone(), reason));
-                }
-                None => {
-                    seen.insert(photo.content, photo.name.clone());
-                    photos.push(photo);
+            Ok(photo) => match &originals[&photo.content] {
+                original if *original == photo.name => photos.push(photo),
+                original => {
+                    copies.push((photo.name.clone(), format!("it is the same file as {original}")));
                 }
             },
         }
     }
     left_out
         .extend(project.unusable_photos().into_iter().map(|name| (name, UNUSABLE_NAME.to_owned())));
-    for (name, reason) in &left_out {
+    for (name, reason) in left_out.iter().chain(&copies) {
         monitor.diagnostic(&Diagnostic::warning(
             "photo-left-out",
             name.as_str(),
@@ -270,6 +275,7 @@ pub(super) fn inspect(
         plan_m,
         tags,
         left_out,
+        copies,
     })
 }
 

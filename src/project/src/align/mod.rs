@@ -40,6 +40,7 @@ use rowgram_base::{
 };
 use rowgram_survey::{
     features::DescriptorSource,
+    scene::Image,
     sfm::{
         adjust_block::{Flight, Photos, adjust_blocks},
         tracks::Tracks,
@@ -94,7 +95,7 @@ impl Task for AlignTask {
 /// Writes `reconstruction.json` with its tables (see [`rowgram_files::reconstruction`]), `camera-N.toml`,
 /// `exterior_orientation.csv`, `cloud.ply`, `cloud.laz`, `crs.txt`, exports for COLMAP and OpenSfM, `report/` and `figures/`.
 /// An adjustment that did not converge ([`AlignOutcome::converged`]), and a smaller share of oriented photos than
-/// `[checks] oriented_red`, are diagnostics of severity error; the latter for a result that was kept, too.
+/// `[checks] oriented_red` or control that contradicts the block, are diagnostics of severity error; the latter two for a result that was kept, too.
 ///
 /// # Errors
 /// [`Error::NothingToDo`] for a project without photos; bad input; [`Error::Incomplete`] where no three photos can be
@@ -105,9 +106,11 @@ pub fn align(
     monitor: &mut dyn Monitor,
 ) -> Result<AlignOutcome, Error> {
     let outcome = stage::perform::<AlignTask>(project, options, monitor)?;
-    let oriented = checks::photos_oriented(&outcome, &project.config().checks);
-    if oriented.severity == Severity::Error {
-        monitor.diagnostic(&oriented);
+    let limits = &project.config().checks;
+    let control = outcome.georeferenced.then(|| checks::georeference(&outcome, limits));
+    let found = [Some(checks::photos_oriented(&outcome, limits)), control];
+    for found in found.iter().flatten().filter(|found| found.severity == Severity::Error) {
+        monitor.diagnostic(found);
     }
     Ok(outcome)
 }
@@ -239,6 +242,17 @@ fn run(
         &pairs,
         &monitor.diagnostics,
     ) {
+        monitor.diagnostic(&diagnostic);
+    }
+    let both_m = |image: &Image| {
+        let [x, y, _] = image.pose.centre_m();
+        [[x, y], inputs.plan_m[image.id.saturating_sub(1) as usize]]
+    };
+    let placed = found.adjusted.reconstruction.images.iter().map(both_m);
+    let placed: Vec<_> = placed.filter(|[_, at]| at[0].is_finite()).collect();
+    if found.georeferenced
+        && let Some(diagnostic) = place::scale_contradiction(&placed)
+    {
         monitor.diagnostic(&diagnostic);
     }
     let outcome = AlignOutcome::new(&found, &inputs, pairs.len());

@@ -28,6 +28,13 @@ pub struct PointErrors {
     pub rmse_z_m: Option<f64>,
 }
 
+impl PointErrors {
+    /// The largest of the three.
+    pub fn worst_m(&self) -> Option<f64> {
+        [self.rmse_x_m, self.rmse_y_m, self.rmse_z_m].into_iter().flatten().reduce(f64::max)
+    }
+}
+
 /// Images that are tied to each other.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fragment {
@@ -62,6 +69,9 @@ pub struct AlignOutcome {
     pub pairs: usize,
     /// Where the adjustment puts the control points against their coordinates.
     pub control_points: PointErrors,
+    /// How many times larger residuals of their coordinates are than these were said to be accurate; absent where nothing tells.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control_sigma0: Option<f64>,
     /// Where the adjustment puts the check points against their coordinates.
     pub check_points: PointErrors,
     /// How many times larger residuals are than assumed.
@@ -121,6 +131,9 @@ impl AlignOutcome {
         let reprojection_rms_px = ties.map_or(0.0, |group| {
             (group.squares / (0.5 * group.observations as f64)).sqrt() * block.tie_sigma_px
         });
+        let control_group =
+            adjusted.statistics.groups.iter().find(|group| group.group == Group::Control);
+        let control_sigma0 = control_group.filter(|group| group.redundancy >= 1.0);
         let registered: Vec<&str> = block.images.iter().map(|image| image.name.as_str()).collect();
         let is_left = |name: &&str| !registered.contains(name);
         let mut unregistered: Vec<String> =
@@ -144,6 +157,7 @@ impl AlignOutcome {
             observations: block.observations.len(),
             pairs,
             control_points: errors(&control),
+            control_sigma0: control_sigma0.map(|group| (group.squares / group.redundancy).sqrt()),
             check_points: errors(&checks),
             sigma0: adjusted.statistics.sigma0,
             converged: adjusted.converged() && found.complete,

@@ -44,6 +44,28 @@ fn middle(tags: &[Geotag]) -> [f64; 2] {
     ]
 }
 
+/// The scale of a block and that of its camera positions differ by less than this share of them: a flight of 20 m, whose positions err by 3 m.
+const SCALE: f64 = 0.15;
+
+/// Whether the cameras of a block are as far apart as their positions say, both in the plan. Control in unnamed feet makes a block too large that looks right in itself.
+pub(super) fn scale_contradiction(cameras: &[[[f64; 2]; 2]]) -> Option<Diagnostic> {
+    let spread = |of: usize| {
+        let places = || cameras.iter().map(|camera| camera[of]);
+        let [x, y] = [median(places().map(|at| at[0]))?, median(places().map(|at| at[1]))?];
+        median(places().map(|at| (at[0] - x).hypot(at[1] - y))).filter(|&spread| spread > 0.0)
+    };
+    let ratio = spread(0)? / spread(1)?;
+    if cameras.len() < 4 || (1.0 / (1.0 + SCALE)..=1.0 + SCALE).contains(&ratio) {
+        return None;
+    }
+    let is_feet = FEET.iter().any(|foot| (ratio * foot - 1.0).abs() < SCALE);
+    let feet = if is_feet { ", as if its control were in feet" } else { "" };
+    let message =
+        format!("the block is {ratio:.2} times as large as the positions of its cameras say{feet}");
+    let remedy = "give control in metres, or name its unit in the titles of the table";
+    Some(Diagnostic::warning("position-scale", "camera positions", message).with_remedy(remedy))
+}
+
 /// Takes out positions that are far from those of all others.
 pub(super) fn drop_far(photos: &[Photo], tags: &mut [Option<Geotag>], monitor: &mut dyn Monitor) {
     let there: Vec<Geotag> = tags.iter().flatten().copied().collect();
@@ -278,6 +300,18 @@ pub(super) fn check_unnamed(ground: &[GroundPoint], tags: &[Geotag]) -> Result<(
 mod tests {
     use super::*;
     use rowgram_survey::scene::{Axes, Role};
+
+    #[test]
+    fn a_block_in_feet_is_told_from_one_that_drifts() {
+        let flight = |scale: f64| -> Vec<[[f64; 2]; 2]> {
+            let at = |k: usize| [10.0 * (k / 4) as f64, 5.0 * (k % 4) as f64];
+            (0..20).map(|k| [at(k).map(|x| scale * x), at(k)]).collect()
+        };
+        let said = |scale: f64| scale_contradiction(&flight(scale)).map(|d| d.message);
+        assert_eq!([0.9, 1.1].map(said), [None, None]);
+        assert!(said(1.0 / FOOT_M).unwrap().ends_with("as if its control were in feet"));
+        assert!(said(0.7).unwrap().starts_with("the block is 0.70 times as large"));
+    }
 
     #[test]
     fn control_in_degrees_lies_where_the_photos_are() {

@@ -25,7 +25,7 @@ pub(super) fn reconstruction(inputs: &Inputs, found: &AdjustedBlock) -> Reconstr
     let adjusted = &found.adjusted;
     let excluded = adjusted.validated.excluded.iter().cloned();
     let removed = found.removed.iter().map(Removed::excluded);
-    let left_out = inputs.left_out.iter().map(|(name, reason)| Excluded {
+    let left_out = inputs.left_out.iter().chain(&inputs.copies).map(|(name, reason)| Excluded {
         kind: ExcludedKind::Image,
         image: Some(name.clone()),
         point: None,

@@ -6,7 +6,10 @@
 
 use super::problem::{AdjustmentProblem, ScaleDatum};
 use crate::scene::Reconstruction;
-use rowgram_optim::nlls::{BlockId, covariance::Covariance, manifold::MAX_TANGENT};
+use rowgram_optim::{
+    engine::SolveError,
+    nlls::{BlockId, covariance::Covariance, manifold::MAX_TANGENT},
+};
 use std::collections::{BTreeSet, HashMap};
 
 /// Blocks of the inverse, by the indices of a pair in the problem.
@@ -23,11 +26,14 @@ fn place(block: BlockId) -> u32 {
 
 impl SelectedInverse {
     /// Solves for the blocks that the observations of `reconstruction` couple, check points included.
+    ///
+    /// # Errors
+    /// [`SolveError::Misuse`] where the problem lacks a batch of the adjustment.
     pub(super) fn new(
         reconstruction: &Reconstruction,
         adjustment: &AdjustmentProblem,
         covariance: &mut Covariance<'_>,
-    ) -> Self {
+    ) -> Result<Self, SolveError> {
         let mut partners: HashMap<BlockId, BTreeSet<BlockId>> = HashMap::new();
         let mut couple = |blocks: &[BlockId]| {
             for (k, &a) in blocks.iter().enumerate() {
@@ -55,17 +61,8 @@ impl SelectedInverse {
             track.dedup();
             couple(track);
         }
-        for bar in &reconstruction.scale_bars {
-            let ends: Vec<BlockId> =
-                bar.ends.iter().filter_map(|&end| adjustment.ground[end as usize]).collect();
-            couple(&ends);
-        }
-        for known in &reconstruction.orientations {
-            let image = known.image as usize;
-            let record = adjustment.attitude_biases[reconstruction.images[image].camera];
-            let pair: Vec<BlockId> =
-                std::iter::once(adjustment.images[image]).chain(record).collect();
-            couple(&pair);
+        for (_, name, _) in &adjustment.batches {
+            adjustment.problem.factor_blocks(name)?.for_each(&mut couple);
         }
         for &block in adjustment.images.iter().chain(&adjustment.lenses) {
             couple(&[block]);
@@ -96,7 +93,7 @@ impl SelectedInverse {
                 blocks.insert((place(*other), place(block)), values);
             }
         }
-        SelectedInverse { blocks, scale_datum: adjustment.scale_datum() }
+        Ok(SelectedInverse { blocks, scale_datum: adjustment.scale_datum() })
     }
 
     /// Adds `A C B^T` to `sum`, `C` the covariance of two blocks (0 where it was not asked for) and `A`,

@@ -78,7 +78,7 @@ impl Statistics {
     ) -> Result<Statistics, SolveError> {
         let mut covariance = Covariance::new(&adjustment.problem, x, LinearSolver::Schur)
             .map_err(|error| rank::explain(reconstruction, adjustment, x, error))?;
-        let inverse = Arc::new(SelectedInverse::new(reconstruction, adjustment, &mut covariance));
+        let inverse = Arc::new(SelectedInverse::new(reconstruction, adjustment, &mut covariance)?);
         // As large as the problem itself.
         drop(covariance);
         let mut found = Statistics::with_inverse(reconstruction, adjustment, settings, x, inverse)?;
@@ -110,7 +110,7 @@ impl Statistics {
         let x = &adjustment.problem.start();
         let mut covariance = Covariance::new(&adjustment.problem, x, LinearSolver::Schur)
             .map_err(|error| rank::explain(reconstruction, adjustment, x, error))?;
-        let inverse = Arc::new(SelectedInverse::new(reconstruction, adjustment, &mut covariance));
+        let inverse = Arc::new(SelectedInverse::new(reconstruction, adjustment, &mut covariance)?);
         drop(covariance);
         let (_, points) = ties(reconstruction, adjustment, &wider, x, &inverse, false);
         let images = adjustment.images.iter().map(|&block| image(adjustment, x, &inverse, block));

@@ -29,6 +29,8 @@ const MIN_IMAGES_FOR_WHOLE_LENS: usize = 6;
 /// A difference of heights beyond this is one of vertical datums, metres.
 const DATUM_DIFFERENCE_M: f64 = 10.0;
 
+/// No geoid is farther from the ellipsoid, metres (EGM2008: -107 to 86).
+const GEOID_M: f64 = 110.0;
 /// No receiver is off by more in the plan, metres.
 const RECEIVER_ERROR_M: f64 = 100.0;
 
@@ -49,6 +51,12 @@ pub(super) fn position_shift([x, y, z]: [f64; 3]) -> Diagnostic {
     let message = format!(
         "they are offset from the control by {x:+.2} {y:+.2} {z:+.2} m (easting, northing, height); the offset was removed"
     );
+    if z.abs() > GEOID_M {
+        let message = format!("{message}; no two vertical datums differ by so much");
+        let remedy = "check the heights of both tables: one may be in feet, or above the field";
+        return Diagnostic::warning("vertical-datum", "camera positions", message)
+            .with_remedy(remedy);
+    }
     if z.abs() > DATUM_DIFFERENCE_M {
         let message =
             format!("{message}; heights that differ by so much have different vertical datums");

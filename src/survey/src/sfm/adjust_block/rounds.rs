@@ -203,12 +203,12 @@ impl BlockAdjuster<'_> {
         let tolerance_px = self.options.tolerance_px;
         let mut sigma_px: f64 = 1.0;
         let mut last_fit = None;
+        let positions = known.positions.clone();
         for round in 0..4 {
-            if self.datum.georeferenced && !known.positions.is_empty() {
-                let fit = weigh_positions(block, known, &self.datum.position_sigmas);
-                let rejected = |fit| review::rejected_positions(fit, block.features);
-                found.extend(fit.iter().flat_map(rejected));
-                last_fit = fit;
+            if self.datum.georeferenced && !positions.is_empty() {
+                // What a bent block rejects may fit a straight one.
+                known.positions.clone_from(&positions);
+                last_fit = weigh_positions(block, known, &self.datum.position_sigmas);
             }
             let widest_px = if round == 0 { 2.0 * tolerance_px } else { tolerance_px };
             let limits = triangulation((6.0 * sigma_px).max(0.1 * tolerance_px).min(widest_px));
@@ -230,8 +230,10 @@ impl BlockAdjuster<'_> {
             }
             sigma_px = block.robust_sigma_px().max(0.05);
         }
-        let told = &self.datum.position_sigmas;
-        found.extend(last_fit.and_then(|fit| review::exceeded_accuracy(&fit, told)));
+        if let Some(fit) = last_fit {
+            found.extend(review::rejected_positions(&fit, block.features));
+            found.extend(review::exceeded_accuracy(&fit, &self.datum.position_sigmas));
+        }
         Ok(sigma_px)
     }
 
