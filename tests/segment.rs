@@ -127,24 +127,6 @@ fn bad_input_is_explained() {
 }
 
 #[test]
-fn masks_do_not_depend_on_the_number_of_threads() {
-    let folder = tempfile::tempdir().unwrap();
-    let photo = RgbImage::from_fn(701, 403, |u, v| {
-        Rgb([(u * v) as u8, (3 * u + 5 * v) as u8, (u ^ v) as u8])
-    });
-    photo.save(folder.path().join("photo.png")).unwrap();
-    let masks = [1, 2, 5].map(|threads| {
-        let run = rowgram(
-            folder.path(),
-            &format!("segment photo.png -o {threads}.png --threads {threads}"),
-        );
-        assert_eq!(run.code, 0, "{}", run.stderr);
-        std::fs::read(folder.path().join(format!("{threads}.png"))).unwrap()
-    });
-    assert!(masks[0] == masks[1] && masks[1] == masks[2]);
-}
-
-#[test]
 fn real_photos_and_masks_are_told_apart() {
     for (name, mask) in [
         ("maize_plots/image/500001.jpg", false),

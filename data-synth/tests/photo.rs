@@ -391,28 +391,6 @@ fn the_sun_throws_shadows_away_from_itself() {
 }
 
 #[test]
-fn photos_are_the_same_for_any_number_of_threads() {
-    let make = || {
-        let mut config = config();
-        config.image = ImageConfig { motion_blur: true, ..ImageConfig::default() };
-        config.corruption.weeds_per_m2 = 2.0;
-        let twin = config.build().unwrap();
-        let jpegs = photos(&twin).into_iter().zip(&twin.shots).map(|(photo, shot)| {
-            let bytes =
-                exif::jpeg(&photo.image, 90, shot, &twin.config.camera, &twin.site).unwrap();
-            (bytes, photo.mask, photo.plants)
-        });
-        (jpegs.collect::<Vec<_>>(), twin.marks.clone(), twin.shots.clone())
-    };
-    let with = |threads: usize| {
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(make)
-    };
-    let one = with(1);
-    assert!(one == with(3));
-    assert!(one == with(8));
-}
-
-#[test]
 fn another_seed_is_another_flight() {
     let mut config = config();
     let one = config.build().unwrap();

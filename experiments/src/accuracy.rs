@@ -8,7 +8,7 @@
 
 use crate::{
     Folders,
-    fail::make,
+    fail::{make, write_csv},
     leaves,
     mask_sets::{self, MaskPlot},
     plots::{self, Plot, clips, nearest_px},
@@ -79,7 +79,7 @@ pub(crate) fn run(folders: &Folders, every: usize) -> Result<(), Error> {
         judge(BEANS, &plot.name, &plot.truth, plot.radius_px, leaf, &plot.mask)
     };
     all.extend(some.par_iter().map(judged).collect::<Result<Vec<_>, Error>>()?);
-    write_csv(&folders.out.join("accuracy_plants.csv"), &all)?;
+    write_csv(&folders.out.join("accuracy_plants.csv"), &photos_table(&all))?;
     let mut text = plants_table(&all);
     text += &(mask_sets::sorghum_table(&folders.data)? + "\n");
     text += &masks_table(&folders.data, every)?;
@@ -303,18 +303,15 @@ fn plants_table(all: &[Counted]) -> String {
     text + &sure + "\n"
 }
 
-fn write_csv(path: &Path, all: &[Counted]) -> Result<(), Error> {
-    Ok(output::write(path, true, |writer| {
-        let mut csv = csv::Writer::from_writer(writer);
-        csv.write_record(["set", "photo", "truth", "found", "right", "confidence", "low", "high"])?;
-        for c in all {
-            let numbers = [c.truth, c.found, c.right, c.confidence, c.interval[0], c.interval[1]];
-            let mut record = vec![c.set.to_owned(), c.photo.clone()];
-            record.extend(numbers.map(|x| format!("{x:.2}")));
-            csv.write_record(record)?;
-        }
-        csv.flush()
-    })?)
+/// A line for each photo under a line of names.
+fn photos_table(all: &[Counted]) -> Vec<Vec<String>> {
+    let names = ["set", "photo", "truth", "found", "right", "confidence", "low", "high"];
+    let lines = all.iter().map(|c| {
+        let numbers = [c.truth, c.found, c.right, c.confidence, c.interval[0], c.interval[1]];
+        let numbers = numbers.map(|x| format!("{x:.2}"));
+        [c.set.to_owned(), c.photo.clone()].into_iter().chain(numbers).collect()
+    });
+    std::iter::once(names.map(str::to_owned).to_vec()).chain(lines).collect()
 }
 
 /// Share of the pixels that are leaf in either mask which are in both.

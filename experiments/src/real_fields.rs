@@ -5,8 +5,8 @@
 //! at most [`MAX_FOR_CHOICE`] photos of each *other* real set, every set counting the same; synthetic fields take no part in it.
 //! The synthetic fields are the levels of the axis `field` of a spec, by default `locate-like-real.toml`.
 //!
-//! Writes `real.csv` (one row for each set, photo and locator), `real-summary.csv`, `real-against-synthetic.csv`,
-//! `rank-agreement.csv`, `twin-statistics.csv` and figures. Numbers only.
+//! Writes `real.csv` (one row for each set, photo and locator), `real-summary.csv`, `real-against-synthetic.csv`
+//! and `twin-statistics.csv`. Numbers only.
 
 use crate::{
     accuracy,
@@ -34,7 +34,7 @@ pub(crate) struct RealFields {
     /// The data folder; the environment variable ROWGRAM_DATA where it is not given.
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Where tables and figures go; made if it is not there.
+    /// Where tables go; made if it is not there.
     #[arg(long, value_name = "DIR", default_value = "experiments/out/real-fields")]
     out: PathBuf,
     /// Only every so many-th photo of a set.

@@ -1,10 +1,9 @@
-//! Tables and figures of the locators on real photos and synthetic fields.
+//! Tables of the locators on real photos and synthetic fields.
 
 use crate::{
     compare::{Comparison, holm, judge},
     data::Summary,
-    fail::{Fail, make, write_csv},
-    figures::Figure,
+    fail::{Fail, write_csv},
     real_fields::{Described, Row},
     real_locators::BASELINE,
     twin_statistics::NAMES,
@@ -37,75 +36,14 @@ struct Line {
     against: Option<Comparison>,
 }
 
-/// The figures, as a spec would ask for them.
-const FIGURES: [&str; 3] = [
-    r#"
-name = "real-against-synthetic"
-look = "points"
-from = "real-against-synthetic"
-x = "synthetic_f1"
-y = "real_f1"
-series = "method"
-panel = "field"
-where = { set = "maize in rows" }
-x_label = "F1, synthetic field"
-y_label = "F1, real maize"
-caption = "F1 within a quarter of the spacing, mean over the real sets of maize, against that on synthetic fields; a panel for each kind of field."
-"#,
-    r#"
-name = "real-by-set"
-look = "bars"
-from = "real"
-x = "set"
-y = "f1"
-series = "method"
-where = { real = "1" }
-x_label = "set"
-y_label = "F1 within a quarter of the spacing"
-caption = "Locators on real photos, with 95 % intervals over photos. All but today's last are told the number of plants."
-"#,
-    r#"
-name = "real-ranks"
-look = "bars"
-from = "ranks"
-x = "set"
-y = "rank"
-series = "method"
-x_label = "set"
-y_label = "rank, 1 is the best"
-caption = "Rank of each locator on each real set and each kind of synthetic field."
-"#,
-];
-
 /// Writes all of it.
 pub(crate) fn write(out: &Path, rows: &[Row], described: &[Described]) -> Result<(), Fail> {
-    let traces = out.join("traces");
-    make(&traces)?;
-    let long = long(rows);
-    write_csv(&out.join("real.csv"), &long)?;
-    let mut shown = long;
-    shown.iter_mut().for_each(|row| row[0] = short(&row[0]).to_owned());
-    write_csv(&traces.join("real.csv"), &shown)?;
     let lines = summary(rows);
+    write_csv(&out.join("real.csv"), &long(rows))?;
     write_csv(&out.join("real-summary.csv"), &summary_table(&lines))?;
     write_csv(&out.join("twin-statistics.csv"), &statistics(described))?;
-    let (pairs, agreement, ranks) = confront(&lines);
-    write_csv(&out.join("real-against-synthetic.csv"), &pairs)?;
-    write_csv(&traces.join("real-against-synthetic.csv"), &pairs)?;
-    write_csv(&out.join("rank-agreement.csv"), &agreement)?;
-    write_csv(&traces.join("ranks.csv"), &ranks)?;
-    let figures = out.join("figures");
-    make(&figures)?;
-    for text in FIGURES {
-        let figure: Figure = toml::from_str(text).map_err(|e| Fail::Failed(e.to_string()))?;
-        figure.draw(out, &figures)?;
-    }
+    write_csv(&out.join("real-against-synthetic.csv"), &against_synthetic(&lines))?;
     Ok(())
-}
-
-/// What a figure has room for.
-fn short(set: &str) -> &str {
-    set.rsplit('_').find(|word| *word != "uav").unwrap_or(set)
 }
 
 type Cells = Vec<Vec<String>>;
@@ -287,17 +225,8 @@ fn ranks(values: &[f64]) -> Vec<f64> {
     values.iter().map(rank).collect()
 }
 
-/// Spearman's correlation of two rankings.
-fn agreement_of(a: &[f64], b: &[f64]) -> f64 {
-    let middle = 0.5 * (a.len() as f64 + 1.0);
-    let of = |x: &[f64], y: &[f64]| -> f64 {
-        x.iter().zip(y).map(|(p, q)| (p - middle) * (q - middle)).sum()
-    };
-    of(a, b) / (of(a, a) * of(b, b)).sqrt()
-}
-
-/// F1 of every locator on every kind of synthetic field and on joined real sets; how rankings agree; ranks.
-fn confront(lines: &[Line]) -> (Cells, Cells, Cells) {
+/// F1 of every locator on every kind of synthetic field and on joined real sets, with its rank in either.
+fn against_synthetic(lines: &[Line]) -> Cells {
     let methods = in_order(lines.iter().map(|line| line.method));
     let of = |set: &str| -> Vec<f64> {
         let mine = |method: &&str| {
@@ -306,7 +235,6 @@ fn confront(lines: &[Line]) -> (Cells, Cells, Cells) {
         };
         methods.iter().map(mine).collect()
     };
-    let sets = |real: bool| in_order(lines.iter().filter(|l| l.real == real).map(|l| &l.set));
     let mut pairs = vec![header(&[
         "field",
         "set",
@@ -316,9 +244,7 @@ fn confront(lines: &[Line]) -> (Cells, Cells, Cells) {
         "synthetic_rank",
         "real_rank",
     ])];
-    let mut agreement = vec![header(&["field", "set", "spearman"])];
-    let mut ranking = vec![header(&["set", "method", "rank"])];
-    for field in sets(false) {
+    for field in in_order(lines.iter().filter(|line| !line.real).map(|line| &line.set)) {
         let synthetic = of(field);
         let a = ranks(&synthetic);
         for (name, _) in JOINED {
@@ -330,20 +256,8 @@ fn confront(lines: &[Line]) -> (Cells, Cells, Cells) {
                 pairs.push(row);
             }
         }
-        for set in sets(true) {
-            let mut row = header(&[field, set]);
-            row.push(number(agreement_of(&a, &ranks(&of(set)))));
-            agreement.push(row);
-        }
     }
-    for set in sets(true).into_iter().chain(sets(false)) {
-        for (method, rank) in methods.iter().zip(ranks(&of(set))) {
-            let mut row = header(&[short(set), method]);
-            row.push(number(rank));
-            ranking.push(row);
-        }
-    }
-    (pairs, agreement, ranking)
+    pairs
 }
 
 #[cfg(test)]
@@ -352,11 +266,8 @@ mod tests {
     use crate::real_locators::Judged;
 
     #[test]
-    fn rankings_agree_as_spearman_says() {
+    fn equal_values_share_a_rank() {
         assert_eq!(ranks(&[0.9, 0.1, 0.5, 0.5]), [1.0, 4.0, 2.5, 2.5]);
-        // scipy.stats.spearmanr([1, 2, 3, 4, 5], [2, 1, 4, 3, 5])
-        let found = agreement_of(&[1.0, 2.0, 3.0, 4.0, 5.0], &[2.0, 1.0, 4.0, 3.0, 5.0]);
-        assert!((found - 0.8).abs() < 1e-12, "{found}");
     }
 
     #[test]

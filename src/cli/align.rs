@@ -3,7 +3,7 @@
 use super::{
     features,
     options::Given,
-    project::{self, present},
+    project::{ProjectArgs, present},
 };
 use clap::Args as ClapArgs;
 use rowgram_base::{error::Error, options::Choice};
@@ -38,12 +38,8 @@ use std::path::PathBuf;
 pub(super) struct Args {
     #[command(subcommand)]
     command: Option<Command>,
-    /// Folder with the photos, control and camera positions.
-    #[arg(required = true)]
-    project: Option<PathBuf>,
-    /// Folder of results [default: PROJECT/rowgram].
-    #[arg(short, long, value_name = "DIR")]
-    output: Option<PathBuf>,
+    #[command(flatten)]
+    project: ProjectArgs,
     /// Coordinate reference system of control and results: EPSG:<code> or a PROJ string.
     #[arg(long, value_name = "CRS")]
     crs: Option<String>,
@@ -70,9 +66,6 @@ pub(super) struct Args {
     /// Repeat all steps; results that were edited since are kept beside, as NAME.edited.
     #[arg(long)]
     force: bool,
-    /// Print one line of JSON instead of a summary.
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Debug, clap::Subcommand)]
@@ -87,8 +80,7 @@ fn step() -> clap::builder::PossibleValuesParser {
 
 impl Args {
     fn project(&self) -> Result<(Project, AlignOptions), Error> {
-        let root = self.project.as_deref().unwrap_or(".".as_ref());
-        let mut config = Config::read(root, environment()?.into_iter(), &[])?;
+        let mut config = Config::read(self.project.root(), environment()?.into_iter(), &[])?;
         let options = self.options.over(&config.align)?;
         let settings = &mut config.project;
         settings.crs = self.crs.clone().or(settings.crs.take());
@@ -106,7 +98,7 @@ impl Args {
             }
         }
         config.align = options.clone();
-        let project = project::with_config(root, self.output.as_deref(), config)?;
+        let project = self.project.with_config(config)?;
         let again = self.force || self.from.is_some();
         Ok((project.again(again.then_some(Stage::Align)).forced(self.force), options))
     }
@@ -138,13 +130,13 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     }
     if let Some(until) = until.filter(|until| *until < Step::Report) {
         return present(
-            args.json,
+            args.project.json,
             |monitor| align::align_until(&project, &options, until, monitor),
             ToString::to_string,
         );
     }
     present(
-        args.json,
+        args.project.json,
         |monitor| align::align(&project, &options, monitor),
         |outcome| {
             let summary = std::fs::read_to_string(project.file(Stage::Align, "report/summary.txt"));

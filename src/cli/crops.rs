@@ -3,7 +3,6 @@
 use super::{options::Given, project};
 use rowgram_base::error::Error;
 use rowgram_project::crops::{CropsOptions, CropsOutcome, crops};
-use std::path::PathBuf;
 
 /// Cut every plot out of its best photos, with traits photo by photo
 ///
@@ -21,19 +20,13 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {
-    /// Folder of the project.
-    project: PathBuf,
-    /// Folder of results [default: PROJECT/rowgram].
-    #[arg(short, long, value_name = "DIR")]
-    output: Option<PathBuf>,
+    #[command(flatten)]
+    project: project::ProjectArgs,
     #[command(flatten)]
     options: Given<CropsOptions>,
     /// Replace crops that are there; files that were edited since are kept beside, as NAME.edited.
     #[arg(long)]
     force: bool,
-    /// Print the outcome as one line of JSON.
-    #[arg(long)]
-    json: bool,
 }
 
 /// Runs the command.
@@ -41,9 +34,13 @@ pub(super) struct Args {
 /// # Errors
 /// As [`crops`].
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let project = project::open(&args.project, args.output.as_deref())?;
+    let project = args.project.open()?;
     let options = args.options.over(&project.config().crops)?;
-    project::present(args.json, |monitor| crops(&project, &options, args.force, monitor), text)
+    project::present(
+        args.project.json,
+        |monitor| crops(&project, &options, args.force, monitor),
+        text,
+    )
 }
 
 fn text(of: &CropsOutcome) -> String {

@@ -52,9 +52,9 @@ impl Search {
 
 /// Find the key points of photos and describe them (SIFT)
 ///
-/// Writes for each photo NAME.features (for the program) and NAME.features.csv: position from the
-/// centre of the top-left pixel, blur, direction from the u axis towards the v axis, contrast. With
-/// --figures also NAME.features.png, where circles have three times the key points' blur.
+/// Writes for each photo NAME.features.csv: position from the centre of the top-left pixel, blur,
+/// direction from the u axis towards the v axis, contrast. With --figures also NAME.features.png,
+/// where circles have three times the key points' blur.
 ///
 /// Example: rowgram align features flight/*.jpg -o features --max-features 4000 --figures figures
 #[derive(Debug, clap::Args)]

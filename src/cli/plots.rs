@@ -5,14 +5,13 @@ mod layout;
 use super::{
     crops,
     options::Given,
-    project::{open_for, present},
+    project::{ProjectArgs, present},
 };
 use rowgram_base::error::Error;
 use rowgram_project::{
     Stage,
     plots::{PlotsOptions, PlotsOutcome, plots},
 };
-use std::path::PathBuf;
 
 /// Put the traits of every plot together: area, plants, leaves, canopy cover
 ///
@@ -32,20 +31,13 @@ use std::path::PathBuf;
 pub(super) struct Args {
     #[command(subcommand)]
     command: Option<Command>,
-    /// Folder of the project.
-    #[arg(required = true)]
-    project: Option<PathBuf>,
-    /// Folder of results [default: PROJECT/rowgram].
-    #[arg(short, long, value_name = "DIR")]
-    output: Option<PathBuf>,
+    #[command(flatten)]
+    project: ProjectArgs,
     #[command(flatten)]
     options: Given<PlotsOptions>,
     /// Do the stage again although nothing has changed.
     #[arg(long)]
     force: bool,
-    /// Print the outcome as one line of JSON.
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Debug, clap::Subcommand)]
@@ -79,8 +71,7 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         Some(Command::Crops(args)) => return crops::run(args),
         None => {}
     }
-    let root = args.project.as_deref().unwrap_or(".".as_ref());
-    let project = open_for(Stage::Plots, root, args.output.as_deref(), args.force)?;
+    let project = args.project.open_for(Stage::Plots, args.force)?;
     let options = args.options.over(&project.config().plots)?;
-    present(args.json, |monitor| plots(&project, &options, monitor), text)
+    present(args.project.json, |monitor| plots(&project, &options, monitor), text)
 }

@@ -7,7 +7,43 @@ use rowgram_base::{
 };
 use rowgram_project::{Config, Project, Stage, environment};
 use serde::Serialize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// A project, and where its results go.
+#[derive(Debug, clap::Args)]
+pub(super) struct ProjectArgs {
+    /// Folder of the project.
+    #[arg(required = true)]
+    project: Option<PathBuf>,
+    /// Folder of results [default: PROJECT/rowgram].
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// Print the outcome as one line of JSON.
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+impl ProjectArgs {
+    /// Its folder; the one here where a subcommand or another argument stands in its place.
+    pub(super) fn root(&self) -> &Path {
+        self.project.as_deref().unwrap_or(Path::new("."))
+    }
+
+    /// As [`open`].
+    pub(super) fn open(&self) -> Result<Project, Error> {
+        open(self.root(), self.output.as_deref())
+    }
+
+    /// As [`open_for`].
+    pub(super) fn open_for(&self, stage: Stage, force: bool) -> Result<Project, Error> {
+        open_for(stage, self.root(), self.output.as_deref(), force)
+    }
+
+    /// As [`with_config`].
+    pub(super) fn with_config(&self, config: Config) -> Result<Project, Error> {
+        with_config(self.root(), self.output.as_deref(), config)
+    }
+}
 
 /// The project in a folder, with the settings of its file and of the environment.
 ///

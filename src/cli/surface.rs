@@ -6,7 +6,6 @@ use rowgram_project::{
     Stage,
     surface::{SurfaceOptions, SurfaceOutcome, surface},
 };
-use std::path::PathBuf;
 
 /// Make the dense surface: canopy, ground, plant height
 ///
@@ -34,20 +33,13 @@ use std::path::PathBuf;
 pub(super) struct Args {
     #[command(subcommand)]
     command: Option<Command>,
-    /// Folder of the project.
-    #[arg(required = true)]
-    project: Option<PathBuf>,
-    /// Folder of results [default: PROJECT/rowgram].
-    #[arg(short, long, value_name = "DIR")]
-    output: Option<PathBuf>,
+    #[command(flatten)]
+    project: project::ProjectArgs,
     #[command(flatten)]
     options: Given<SurfaceOptions>,
     /// Make it again where nothing has changed.
     #[arg(long)]
     force: bool,
-    /// Print the outcome as one line of JSON.
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Debug, clap::Subcommand)]
@@ -63,12 +55,11 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     if let Some(Command::Dem(args)) = &args.command {
         return dem::run(args);
     }
-    let root = args.project.as_deref().unwrap_or(".".as_ref());
-    let project = project::open_for(Stage::Surface, root, args.output.as_deref(), args.force)?;
+    let project = args.project.open_for(Stage::Surface, args.force)?;
     let options = args.options.over(&project.config().surface)?;
     let folder = project.folder(Stage::Surface);
     project::present(
-        args.json,
+        args.project.json,
         |monitor| surface(&project, &options, monitor),
         |outcome| text(&folder.join(&outcome.surface).display().to_string(), outcome),
     )

@@ -7,7 +7,7 @@ use clap::Subcommand;
 use data_synth::{
     block::BlockConfig,
     collection::CollectionConfig,
-    field::{GrowthStage, Phyllotaxy},
+    field::GrowthStage,
     scenario::{Preset, Scenario},
 };
 use rowgram_base::error::Error;
@@ -151,9 +151,6 @@ struct LayoutArgs {
     /// Standard deviation along the row, fraction of the spacing [default: 0.15].
     #[arg(long, value_name = "FRACTION", allow_negative_numbers = true)]
     jitter: Option<f64>,
-    /// Standard deviation across the row, metres [default: 0.01].
-    #[arg(long, value_name = "M", allow_negative_numbers = true)]
-    jitter_across: Option<f64>,
     /// Fraction of empty sites [default: 0.05].
     #[arg(long, value_name = "FRACTION", allow_negative_numbers = true)]
     missing: Option<f64>,
@@ -166,47 +163,27 @@ struct LayoutArgs {
     /// Direction of the rows, degrees counter-clockwise from the picture's u axis [default: 0].
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     heading: Option<f64>,
-    /// Put the sites of all rows side by side.
-    #[arg(long)]
-    grid: bool,
 }
 
 #[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Plants, picture and corruption")]
+#[command(next_help_heading = "Plants and picture")]
 struct LookArgs {
     /// Growth stage: early, mid or late [default: mid].
     #[arg(long, value_name = "STAGE")]
     stage: Option<GrowthStage>,
-    /// Leaf arrangement: distichous or random [default: distichous].
-    #[arg(long, value_name = "KIND")]
-    phyllotaxy: Option<Phyllotaxy>,
-    /// How far stalks lean, root mean square, metres [default: 0].
-    #[arg(long, value_name = "M", allow_negative_numbers = true)]
-    tilt: Option<f64>,
     /// Ground sampling distance, metres per pixel [default: 0.015].
     #[arg(long, value_name = "M", allow_negative_numbers = true)]
     gsd: Option<f64>,
-    /// Bare ground around the rows, metres [default: 0.8].
-    #[arg(long, value_name = "M", allow_negative_numbers = true)]
-    margin: Option<f64>,
     /// Weeds per square metre [default: 0].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     weeds: Option<f64>,
-    /// Fraction of other pixels taken for leaf [default: 0].
-    #[arg(long, value_name = "FRACTION", allow_negative_numbers = true)]
-    false_pixels: Option<f64>,
-    /// Fraction of leaf pixels not taken for leaf [default: 0].
-    #[arg(long, value_name = "FRACTION", allow_negative_numbers = true)]
-    missed_pixels: Option<f64>,
 }
 
 impl MaskArgs {
     /// What to make: the defaults, then the preset or file, then the options.
     fn scenario(&self) -> Result<Scenario, Error> {
-        fn set<T: Clone>(value: &mut T, option: &Option<T>) {
-            if let Some(option) = option {
-                *value = option.clone();
-            }
+        fn set<T: Copy>(value: &mut T, option: Option<T>) {
+            *value = option.unwrap_or(*value);
         }
         let mut scenario = match (&self.config, self.preset) {
             (Some(path), _) => synth::read_config(path)?,
@@ -214,27 +191,19 @@ impl MaskArgs {
             (None, None) => Scenario::default(),
         };
         let (field, layout, look) = (&mut scenario.field, &self.layout, &self.look);
-        set(&mut field.seed, &self.seed);
-        set(&mut field.rows, &layout.rows);
-        set(&mut field.row_length_m, &layout.row_length);
-        set(&mut field.inter_row_m, &layout.inter_row);
-        set(&mut field.spacing_m, &layout.spacing);
-        set(&mut field.jitter_along, &layout.jitter);
-        set(&mut field.jitter_across_m, &layout.jitter_across);
-        set(&mut field.missing_fraction, &layout.missing);
-        set(&mut field.doubles_fraction, &layout.doubles);
-        set(&mut field.curve_m, &layout.curve);
-        set(&mut field.heading_deg, &layout.heading);
-        field.grid |= layout.grid;
-        set(&mut field.stage, &look.stage);
-        set(&mut field.phyllotaxy, &look.phyllotaxy);
-        set(&mut field.tilt_m, &look.tilt);
-        set(&mut field.gsd_m, &look.gsd);
-        set(&mut field.margin_m, &look.margin);
-        let corruption = &mut scenario.corruption;
-        set(&mut corruption.weeds_per_m2, &look.weeds);
-        set(&mut corruption.false_fraction, &look.false_pixels);
-        set(&mut corruption.missed_fraction, &look.missed_pixels);
+        set(&mut field.seed, self.seed);
+        set(&mut field.rows, layout.rows);
+        set(&mut field.row_length_m, layout.row_length);
+        set(&mut field.inter_row_m, layout.inter_row);
+        set(&mut field.spacing_m, layout.spacing);
+        set(&mut field.jitter_along, layout.jitter);
+        set(&mut field.missing_fraction, layout.missing);
+        set(&mut field.doubles_fraction, layout.doubles);
+        set(&mut field.curve_m, layout.curve);
+        set(&mut field.heading_deg, layout.heading);
+        set(&mut field.stage, look.stage);
+        set(&mut field.gsd_m, look.gsd);
+        set(&mut scenario.corruption.weeds_per_m2, look.weeds);
         scenario.check().map_err(|error| Error::Argument(error.to_string()))?;
         Ok(scenario)
     }

@@ -26,12 +26,8 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {
-    /// Folder of the project.
-    #[arg(required_unless_present = "print")]
-    project: Option<PathBuf>,
-    /// Folder of results [default: PROJECT/rowgram].
-    #[arg(short, long, value_name = "DIR")]
-    output: Option<PathBuf>,
+    #[command(flatten)]
+    project: project::ProjectArgs,
     #[command(flatten)]
     options: Given<TargetsOptions>,
     /// Write targets to print into this PDF, in true size, one on a page.
@@ -46,9 +42,6 @@ pub(super) struct Args {
     /// Replace marks made by hand too, or a file that exists.
     #[arg(long)]
     force: bool,
-    /// Print the outcome as one line of JSON.
-    #[arg(long)]
-    json: bool,
 }
 
 /// Runs the command.
@@ -60,11 +53,10 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         let options = args.options.over_defaults()?;
         return print_targets(&options, (args.first, args.count), path, args.force);
     }
-    let root = args.project.as_deref().unwrap_or(".".as_ref());
-    let project = project::open(root, args.output.as_deref())?;
+    let project = args.project.open()?;
     let options = args.options.over(&project.config().targets)?;
     project::present(
-        args.json,
+        args.project.json,
         |monitor| targets(&project, &options, args.force, monitor),
         ToString::to_string,
     )

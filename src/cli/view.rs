@@ -1,9 +1,8 @@
 //! `rowgram view`: the map and the marks of a project in a browser.
 
-use super::{print, print_json, project};
+use super::{print, print_json, project::ProjectArgs};
 use rowgram_base::error::Error;
 use rowgram_project::report::view::{Server, Viewer, serve};
-use std::path::PathBuf;
 
 /// Show the map and the marks of a project in a browser
 ///
@@ -22,17 +21,11 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {
-    /// Folder of the project.
-    project: PathBuf,
-    /// Folder of results [default: PROJECT/rowgram].
-    #[arg(short, long, value_name = "DIR")]
-    output: Option<PathBuf>,
+    #[command(flatten)]
+    project: ProjectArgs,
     /// Port to listen on; 0 takes one that is free.
     #[arg(long, default_value_t = 0)]
     port: u16,
-    /// Print the address as one line of JSON.
-    #[arg(long)]
-    json: bool,
 }
 
 /// Runs the command.
@@ -40,10 +33,10 @@ pub(super) struct Args {
 /// # Errors
 /// A project with neither a map nor anything to mark; a port that is taken.
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let project = project::open(&args.project, args.output.as_deref())?;
+    let project = args.project.open()?;
     let viewer = Viewer::open(&project)?;
     let server = Server::listen(args.port)?;
-    if args.json {
+    if args.project.json {
         print_json(&serde_json::json!({"url": server.url()}))?;
     } else {
         print(&format!("{}  (Ctrl-C ends)", server.url()))?;

@@ -33,8 +33,6 @@ pub(crate) enum Look {
     Bars,
     /// Quartiles, whiskers to the extremes.
     Box,
-    /// Densities of the values.
-    Violin,
     /// A number over two coordinates, as colours.
     Surface,
     /// Series over iterations, one thin line for each run.
@@ -211,8 +209,7 @@ impl Figure {
             Look::Convergence => curves::convergence(self, &frame),
             Look::Profile => curves::profile(self, &frame),
             Look::Bars => curves::means(self, &frame, true),
-            Look::Box => spread::draw(self, &frame, false),
-            Look::Violin => spread::draw(self, &frame, true),
+            Look::Box => spread::draw(self, &frame),
             Look::Surface => maps::surface(self, &frame, over.as_ref()),
             Look::Points => maps::points(self, &frame),
             Look::Field => maps::field(self, &frame),

@@ -1,4 +1,4 @@
-//! Boxes and violins: how values spread over seeds.
+//! Boxes: how values spread over seeds.
 
 use super::{
     Drawn, Figure, panels,
@@ -17,8 +17,8 @@ struct Group {
     values: Vec<f64>,
 }
 
-/// Draws boxes, or violins.
-pub(super) fn draw(figure: &Figure, frame: &Frame, violin: bool) -> Result<Drawn, String> {
+/// Draws boxes.
+pub(super) fn draw(figure: &Figure, frame: &Frame) -> Result<Drawn, String> {
     let (labels, names) = (frame.labels(&figure.x)?, frame.labels(&figure.series)?);
     let parts = panels(figure, frame)?;
     let columns =
@@ -90,45 +90,15 @@ pub(super) fn draw(figure: &Figure, frame: &Frame, violin: bool) -> Result<Drawn
             let (x, half, s) = (group.middle, group.half, group.series);
             let at = |share: f64| quantile(&group.values, share);
             let stroke = colour(s).stroke_width(2);
-            if violin {
-                let outline = outline(&group.values, x, half);
-                chart.draw_series(std::iter::once(Polygon::new(outline.clone(), light(s))))?;
-                chart.draw_series(LineSeries::new(outline, stroke))?;
-            } else {
-                let ends = [(at(0.0), at(0.25)), (at(0.75), at(1.0))];
-                chart.draw_series(
-                    ends.map(|(a, b)| PathElement::new(vec![(x, a), (x, b)], stroke)),
-                )?;
-                let corners = [(x - half, at(0.25)), (x + half, at(0.75))];
-                chart.draw_series([Rectangle::new(corners, light(s).filled())])?;
-                chart.draw_series([Rectangle::new(corners, stroke)])?;
-            }
+            let ends = [(at(0.0), at(0.25)), (at(0.75), at(1.0))];
+            chart.draw_series(ends.map(|(a, b)| PathElement::new(vec![(x, a), (x, b)], stroke)))?;
+            let corners = [(x - half, at(0.25)), (x + half, at(0.75))];
+            chart.draw_series([Rectangle::new(corners, light(s).filled())])?;
+            chart.draw_series([Rectangle::new(corners, stroke)])?;
             let median = vec![(x - half, at(0.5)), (x + half, at(0.5))];
             chart.draw_series([PathElement::new(median, colour(s).stroke_width(4))])?;
         }
         Ok(())
     })?;
     Ok(Drawn { svg, numbers, summary: Vec::new() })
-}
-
-/// A closed curve around a Gaussian kernel density (Silverman's width), cut at the extremes.
-fn outline(sorted: &[f64], middle: f64, half: f64) -> Vec<(f64, f64)> {
-    let count = sorted.len() as f64;
-    let mean = sorted.iter().sum::<f64>() / count;
-    let spread = (sorted.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count).sqrt();
-    let (low, high) = (sorted[0], sorted[sorted.len() - 1]);
-    let width = (1.06 * spread * count.powf(-0.2)).max(1e-3 * (high - low)).max(f64::MIN_POSITIVE);
-    let levels: Vec<f64> = (0..=40).map(|k| low + (high - low) * f64::from(k) / 40.0).collect();
-    let density = |at: f64| -> f64 {
-        sorted.iter().map(|value| (-0.5 * ((at - value) / width).powi(2)).exp()).sum()
-    };
-    let densities: Vec<f64> = levels.iter().map(|&level| density(level)).collect();
-    let most = densities.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-    let side = |sign: f64| {
-        levels.iter().zip(&densities).map(move |(&y, &d)| (middle + sign * half * d / most, y))
-    };
-    let mut closed: Vec<(f64, f64)> =
-        side(1.0).chain(side(-1.0).collect::<Vec<_>>().into_iter().rev()).collect();
-    closed.push(closed[0]);
-    closed
 }

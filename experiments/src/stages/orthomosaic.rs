@@ -150,7 +150,8 @@ impl Stage for Orthomosaic {
         measured.put("f1", f1(counts));
         measured.put("area_ratio", (counts[2] + counts[3]) / (counts[1] + counts[3]));
         let half = density::half_window(p.window_px).map_err(|e| e.to_string())?;
-        let (ours, truth) = (density::of(&found, half), density::of(&seen.truth, half));
+        let [ours, truth] =
+            [&found, &seen.truth].map(|mask| density::rows(mask, half, 0..mask.height));
         let window = (p.window_px * p.window_px) as f64;
         let known = seen.known.iter().filter(|&&known| known).count() as f64;
         let squares: f64 = (0..ours.len())

@@ -19,7 +19,7 @@
 use super::{
     FileError,
     gpkg::{self, Column, ColumnKind, Feature, Geometry, GeometryKind, Layer},
-    output,
+    output, polygons,
 };
 use rowgram_plants::phenotype::leaves::Leaf;
 use rowgram_raster::georeference::{CrsKind, Georeference};
@@ -123,9 +123,7 @@ impl Rows<'_> {
     /// # Errors
     /// As [`output::write`].
     pub fn write_geojson(&self, path: &Path, force: bool) -> Result<(), FileError> {
-        let crs = self.georeference.and_then(|place| place.crs.epsg).map(|epsg| {
-            json!({"type": "name", "properties": {"name": format!("urn:ogc:def:crs:EPSG::{epsg}")}})
-        });
+        let crs = self.georeference.and_then(|place| polygons::crs_member(place.crs));
         output::write(path, force, |writer| {
             write!(writer, "{{\"type\":\"FeatureCollection\",")?;
             if let Some(crs) = crs {

@@ -11,7 +11,6 @@ mod columns;
 pub mod control;
 pub mod corners;
 pub mod csv_table;
-pub mod features;
 pub mod field_design;
 pub mod gcp_list;
 pub mod geoid;

@@ -6,7 +6,7 @@ use rowgram_base::{
     error::Error,
     monitor::{Counter, Diagnostic, Monitor},
 };
-use rowgram_files::{self as io, images, memory};
+use rowgram_files::{images, memory};
 use rowgram_optim::output::{self, FileError};
 use rowgram_survey::features::{self, FeatureOptions, Features, matching, sketch};
 use serde::{Deserialize, Serialize};
@@ -28,10 +28,8 @@ pub(super) fn require_memory(photo: &Path) -> Result<(), FileError> {
 pub struct PhotoFeatures {
     /// The photo.
     pub image: PathBuf,
-    /// The file of its features, for the program.
+    /// The table of its features.
     pub output: PathBuf,
-    /// The same as a table.
-    pub table: PathBuf,
     /// Width of the photo, pixels.
     pub width_px: u32,
     /// Height of the photo, pixels.
@@ -49,8 +47,7 @@ pub struct FeaturesOutcome {
     pub photos: Vec<PhotoFeatures>,
 }
 
-/// Finds the features of photos and writes `NAME.features` and `NAME.features.csv` for each into `folder`, which is made
-/// if missing; with `figures`, the photo with its key points as `NAME.features.png` there.
+/// Finds the features of photos and writes `NAME.features.csv` for each into `folder`, which is made if missing; with `figures`, the photo with its key points as `NAME.features.png` there.
 ///
 /// # Errors
 /// Two photos of one name, a file that exists unless `force`, a photo that cannot be read, and writing.
@@ -67,7 +64,7 @@ pub fn write_features(
         std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
     }
     for paths in &outputs {
-        for path in [Some(&paths.binary), Some(&paths.table), paths.figure.as_ref()] {
+        for path in [Some(&paths.table), paths.figure.as_ref()] {
             path.map_or(Ok(()), |path| output::check(path, force))?;
         }
     }
@@ -75,15 +72,12 @@ pub fn write_features(
     let mut found = Vec::with_capacity(photos.len());
     let counter = Counter::new(monitor, "detecting features", photos.len(), "photos");
     for (image, paths) in photos.iter().zip(outputs) {
-        let bytes = memory::read_file(image)?;
-        let key = io::features::key(&bytes, options);
         require_memory(image)?;
         let mut photo = images::read_photo(image)?;
         let own = features::detect(&features::grey(&photo), options);
         if own.key_points.is_empty() {
             empty.push(image);
         }
-        io::features::write(&paths.binary, force, key, &own)?;
         write_table(&paths.table, force, &own)?;
         if let Some(path) = &paths.figure {
             sketch::draw_key_points(&mut photo, &own.key_points);
@@ -91,8 +85,7 @@ pub fn write_features(
         }
         found.push(PhotoFeatures {
             image: image.clone(),
-            output: paths.binary,
-            table: paths.table,
+            output: paths.table,
             width_px: own.width_px,
             height_px: own.height_px,
             features: own.key_points.len(),
@@ -112,7 +105,6 @@ pub fn write_features(
 
 /// Where the results of a photo go.
 struct Outputs {
-    binary: PathBuf,
     table: PathBuf,
     figure: Option<PathBuf>,
 }
@@ -134,12 +126,11 @@ fn outputs(
             folder.join(name)
         };
         found.push(Outputs {
-            binary: path(folder, ".features"),
             table: path(folder, ".features.csv"),
             figure: figures.map(|figures| path(figures, ".features.png")),
         });
     }
-    photo_names::refuse_twins(photos, found.iter().map(|of| &of.binary))?;
+    photo_names::refuse_twins(photos, found.iter().map(|of| &of.table))?;
     Ok(found)
 }
 

@@ -11,13 +11,9 @@
 //!
 //! Reference: F. C. Crow, "Summed-area tables for texture mapping", SIGGRAPH 1984.
 
-use super::{Mask, window};
-use rayon::prelude::*;
+use super::Mask;
 use rowgram_base::error::Error;
 use std::ops::Range;
-
-/// Rows of a band; the work is cut in the same way for any number of threads.
-const BAND_ROWS: usize = 512;
 
 /// Largest side of a window: its pixels must be counted in 32 bits.
 pub const LARGEST_WINDOW_PX: usize = 65_535;
@@ -72,14 +68,6 @@ pub fn rows(mask: &Mask, half: usize, rows: Range<usize>) -> Vec<u32> {
     density
 }
 
-/// The density of a whole mask, row by row.
-pub fn of(mask: &Mask, half: usize) -> Vec<u32> {
-    let bands: Vec<window::Band> = window::bands(mask.height, BAND_ROWS, half).collect();
-    let parts: Vec<Vec<u32>> =
-        bands.par_iter().map(|band| rows(mask, half, band.rows.clone())).collect();
-    parts.concat()
-}
-
 /// A colour for a share of the largest density, 0 to 1: dark blue over green to yellow, lighter all
 /// the way (so that it reads in grey and to the colour-blind).
 pub fn colour(share: f64) -> [u8; 3] {
@@ -113,7 +101,7 @@ mod tests {
         ) {
             let height = bits.len() / width;
             let mask = Mask::from_fn(width, height, |u, v| bits[v * width + u] == 0);
-            let found = of(&mask, half);
+            let found = rows(&mask, half, 0..height);
             for v in 0..height {
                 for u in 0..width {
                     let around = |c: usize, end: usize| c.saturating_sub(half)..(c + half + 1).min(end);

@@ -18,7 +18,8 @@ mod systems;
 mod write;
 
 pub use names::NAMES;
-pub use write::{NAME, Outline, geometry, projection, write};
+pub(crate) use write::crs_member;
+pub use write::{NAME, Outline, geometry, projection, write, write_features};
 
 use super::FileError;
 use rowgram_raster::{georeference::Georeference, polygon::Polygon};

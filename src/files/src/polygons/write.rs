@@ -75,13 +75,30 @@ fn geojson(path: &Path, force: bool, plots: &[Outline], crs: Option<Crs>) -> Res
             "geometry": geometry(&rings),
         })
     };
-    let features: Vec<Value> = plots.iter().map(feature).collect();
+    write_features(path, force, plots.iter().map(feature).collect(), crs)
+}
+
+/// Writes features of GeoJSON with the system of their coordinates.
+///
+/// # Errors
+/// As [`output::write`].
+pub fn write_features(
+    path: &Path,
+    force: bool,
+    features: Vec<Value>,
+    crs: Option<Crs>,
+) -> Result<(), FileError> {
     let mut collection = json!({"type": "FeatureCollection", "features": features});
-    if let Some(code) = crs.and_then(|crs| crs.epsg) {
-        let name = format!("urn:ogc:def:crs:EPSG::{code}");
-        collection["crs"] = json!({"type": "name", "properties": {"name": name}});
+    if let Some(crs) = crs.and_then(crs_member) {
+        collection["crs"] = crs;
     }
     output::write(path, force, |out| writeln!(out, "{collection}"))
+}
+
+/// What a collection says of its system.
+pub(crate) fn crs_member(crs: Crs) -> Option<Value> {
+    let name = format!("urn:ogc:def:crs:EPSG::{}", crs.epsg?);
+    Some(json!({"type": "name", "properties": {"name": name}}))
 }
 
 /// Names of the attributes, and whether each is a number in every plot that has one.

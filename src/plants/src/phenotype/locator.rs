@@ -28,11 +28,7 @@ use std::borrow::Cow;
 pub enum LocateMethod {
     /// Votes along leaf axes, a random field along curved rows.
     RowModel,
-    /// `RowModel`, then the tempered descent from its plants.
-    Refined,
-    /// The tempered descent from regular spacing: row prior, truncated distances.
-    Tempered,
-    /// The descent of the joint objective from regular spacing, neither tempered nor truncated.
+    /// The descent of the joint objective from regular spacing.
     Descent,
     /// The paper: row prior of the other plants, mean distance as scale, from k-means++.
     Paper,
@@ -42,7 +38,7 @@ pub enum LocateMethod {
     Rows,
 }
 
-rowgram_base::choices!(LocateMethod: RowModel, Refined, Tempered, Descent, Paper, Kmeans, Rows);
+rowgram_base::choices!(LocateMethod: RowModel, Descent, Paper, Kmeans, Rows);
 
 rowgram_base::options! {
     /// The paper's objective and its variants, for all methods but the row model. An option that is not set is as the method says.
@@ -90,8 +86,7 @@ rowgram_base::options! {
         /// Number of plants; auto estimates it.
         pub plants: Auto<usize> = Auto::Auto, limits at_least(1.0);
         /// How plants are located: row-model (votes along leaf axes, a random field along curved rows);
-        /// refined (row-model, then the tempered descent); tempered, descent, paper, kmeans (descents from other
-        /// starts); rows (regular spacing).
+        /// descent, paper, kmeans (descents from other starts); rows (regular spacing).
         pub method: LocateMethod = LocateMethod::RowModel;
         /// Connected leaf areas of fewer pixels are ignored.
         pub min_pixels: usize = 0;
@@ -126,16 +121,16 @@ impl LocateOptions {
     /// Where the descent starts.
     fn init(&self) -> Init {
         self.paper.init.unwrap_or(match self.method {
-            LocateMethod::RowModel | LocateMethod::Refined => Init::Votes,
+            LocateMethod::RowModel => Init::Votes,
             LocateMethod::Descent if self.paper.prior == Some(Prior::None) => Init::KmeansPlusPlus,
-            LocateMethod::Tempered | LocateMethod::Descent | LocateMethod::Rows => Init::Rows,
+            LocateMethod::Descent | LocateMethod::Rows => Init::Rows,
             LocateMethod::Paper | LocateMethod::Kmeans => Init::KmeansPlusPlus,
         })
     }
 
     /// The problem and the engine of the descent: what the method says, where no option says otherwise.
     fn posed(&self, gsd_m: Option<f64>, plants: usize) -> PlantFitOptions {
-        let base = self.method.model(gsd_m);
+        let base = self.method.model();
         let given = &self.paper;
         let model = Model {
             prior: given.prior.unwrap_or(base.prior),
@@ -165,23 +160,14 @@ impl LocateOptions {
     }
 }
 
-/// Independent votes of a plant's pixels where the descent is tempered: about one per leaf.
-const VOTES_PER_PLANT: f64 = 6.0;
-/// Where its distances are truncated, given the ground sampling distance.
-const TRUNCATED_M: f64 = 0.3;
 /// Floor of the standard deviation of plants about their row.
 const FLOOR_M: f64 = 0.01;
 
 impl LocateMethod {
-    /// Its model, given a ground sampling distance.
-    fn model(self, gsd_m: Option<f64>) -> Model {
+    /// Its model.
+    fn model(self) -> Model {
         match self {
-            LocateMethod::RowModel | LocateMethod::Refined | LocateMethod::Tempered => Model {
-                tempering: Some(VOTES_PER_PLANT),
-                truncate_px: gsd_m.map(|gsd| TRUNCATED_M / gsd),
-                ..Model::default()
-            },
-            LocateMethod::Descent => Model::default(),
+            LocateMethod::RowModel | LocateMethod::Descent => Model::default(),
             LocateMethod::Paper => Model { form: Form::Conditional, ..Model::default() },
             LocateMethod::Kmeans => {
                 Model { prior: Prior::None, update: PlantUpdate::Mean, ..Model::default() }
@@ -382,7 +368,7 @@ mod tests {
                 found.located.plants.iter().map(|plant| plant.position_px).collect::<Vec<_>>()
             }
         };
-        for method in ["row-model", "refined", "tempered", "descent"] {
+        for method in ["row-model", "descent"] {
             let found = plants(&with(&format!("method = \"{method}\"\nplants = 26")));
             assert_eq!(found.len(), 26, "{method}");
             for k in 0..13 {

@@ -10,6 +10,8 @@ mod tables;
 
 pub use network::NetworkOutcome;
 pub use options::{AdjustOptions, DatumChoice, NetworkOptions, SnoopingChoice, read_block};
+#[cfg(feature = "report")]
+pub(crate) use report::Ground;
 pub use report::{Report, summary, write};
 
 use crate::convert::Format;

@@ -15,7 +15,7 @@ use rowgram_survey::{
     },
     scene::Reconstruction,
 };
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::{fmt::Write, path::Path};
 
 /// Confidence of intervals and of the global test.
@@ -40,19 +40,20 @@ struct Group {
 }
 
 /// A control or check point.
-#[derive(Debug, Serialize)]
-struct Ground {
-    name: String,
-    role: rowgram_survey::scene::Role,
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Ground {
+    pub(crate) name: String,
+    pub(crate) role: rowgram_survey::scene::Role,
     axes: rowgram_survey::scene::Axes,
     given_m: [f64; 3],
-    adjusted_m: [f64; 3],
-    difference_m: [f64; 3],
-    sigma_m: [f64; 3],
+    pub(crate) adjusted_m: [f64; 3],
+    /// From the given coordinates to the adjusted ones.
+    pub(crate) difference_m: [f64; 3],
+    pub(crate) sigma_m: [f64; 3],
     /// How many images it was measured in.
-    images: usize,
+    pub(crate) images: usize,
     /// Root mean square distance of where it was measured and where the adjusted point is seen, pixels.
-    image_rms_px: Option<f64>,
+    pub(crate) image_rms_px: Option<f64>,
 }
 
 /// An observation that the test rejects.

@@ -1,7 +1,6 @@
-//! Pictures of a block: where the cameras are and what they see, which photos match, the cloud from
-//! above and aside.
+//! Pictures of a block: where the cameras are and what they see, the cloud from above and aside; the table of pairs.
 
-use crate::figures::{BLUE, VERMILION, save_svg};
+use crate::figures::save_svg;
 use image::{Rgb, RgbImage};
 use plotters::prelude::*;
 use rowgram_base::error::Error;
@@ -11,9 +10,9 @@ use rowgram_raster::overlay::draw_line;
 use rowgram_survey::{
     camera::Lens,
     scene::Reconstruction,
-    sfm::{Pair, relative::Solver, resection::quaternion},
+    sfm::{Pair, resection::quaternion},
 };
-use std::{collections::HashMap, path::Path};
+use std::path::Path;
 
 /// Cells of the overlap map along its longer side.
 const CELLS: usize = 90;
@@ -37,10 +36,8 @@ pub(super) fn write(
     for folder in [folder, tables] {
         std::fs::create_dir_all(folder).map_err(|e| FileError::write(folder, e))?;
     }
-    let view = View::of(survey);
-    overlap(folder, tables, survey, &view)?;
+    overlap(folder, tables, survey, &View::of(survey))?;
     pairs_table(tables, pairs, names)?;
-    graph(folder, survey, pairs, names, &view)?;
     images::write_photo(&folder.join("cloud-above.png"), true, &cloud(survey, [0, 1]))?;
     images::write_photo(&folder.join("cloud-aside.png"), true, &cloud(survey, [0, 2]))?;
     Ok(())
@@ -181,50 +178,6 @@ fn pairs_table(folder: &Path, pairs: &[Pair], names: &[&str]) -> Result<(), File
         csv.flush()
     })?;
     Ok(())
-}
-
-/// Which photos match, and by which solver they were oriented.
-fn graph(
-    folder: &Path,
-    survey: &Reconstruction,
-    pairs: &[Pair],
-    names: &[&str],
-    view: &View,
-) -> Result<(), FileError> {
-    let places: HashMap<&str, (f64, f64)> = survey
-        .images
-        .iter()
-        .map(|image| {
-            let c = image.pose.centre_m();
-            (image.name.as_str(), (c[0], c[1]))
-        })
-        .collect();
-    save_svg(&folder.join("match-graph.svg"), true, |svg| {
-        let area = SVGBackend::with_string(svg, view.size()).into_drawing_area();
-        area.fill(&WHITE)?;
-        let mut chart = ChartBuilder::on(&area)
-            .caption("matching photos (blue: two points, red: five)", ("sans-serif", 16))
-            .margin(10)
-            .x_label_area_size(35)
-            .y_label_area_size(60)
-            .build_cartesian_2d(view.x[0]..view.x[1], view.y[0]..view.y[1])?;
-        chart.configure_mesh().disable_mesh().x_desc("X").y_desc("Y").draw()?;
-        let most = pairs.iter().map(|p| p.matches.len()).max().unwrap_or(1) as f64;
-        for pair in pairs {
-            let [a, b] = pair.images.map(|k| places.get(names[k as usize]));
-            let (Some(&a), Some(&b)) = (a, b) else { continue };
-            let colour = if pair.solver == Solver::TwoPoint { BLUE } else { VERMILION };
-            let share = 0.1 + 0.8 * (pair.matches.len() as f64 / most).sqrt();
-            let style = colour.mix(share).stroke_width(1 + (3.0 * share) as u32);
-            chart.draw_series(LineSeries::new([a, b], style))?;
-        }
-        let mut sorted: Vec<(f64, f64)> = places.values().copied().collect();
-        sorted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        chart.draw_series(sorted.iter().map(|&at| Circle::new(at, 3, BLACK.filled())))?;
-        area.present()?;
-        drop(chart);
-        Ok(())
-    })
 }
 
 /// The points in their colours along two axes, cameras in red.

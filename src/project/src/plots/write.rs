@@ -97,7 +97,7 @@ pub(super) fn traits(
     if geoparquet::IS_AVAILABLE {
         geoparquet::write(&folder.join("traits.parquet"), true, &layer)?;
     }
-    let features: Vec<Value> = plots
+    let features = plots
         .iter()
         .zip(&rings)
         .map(|(plot, rings)| {
@@ -112,12 +112,8 @@ pub(super) fn traits(
             })
         })
         .collect();
-    let mut collection = json!({"type": "FeatureCollection", "features": features});
-    if let Some(code) = place.and_then(|place| place.crs.epsg) {
-        let name = format!("urn:ogc:def:crs:EPSG::{code}");
-        collection["crs"] = json!({"type": "name", "properties": {"name": name}});
-    }
-    output::write(&folder.join(super::POLYGONS), true, |out| writeln!(out, "{collection}"))?;
+    let crs = place.map(|place| place.crs);
+    polygons::write_features(&folder.join(super::POLYGONS), true, features, crs)?;
     style(plots, all, folder)?;
     Ok(())
 }

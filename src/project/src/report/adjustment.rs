@@ -5,11 +5,11 @@ use super::{
     block::shown,
     page::{Section, digits, table},
 };
-use crate::Stage;
+use crate::{Stage, adjust::Ground};
 use maud::{Markup, html};
 use rowgram_base::error::Error;
 use rowgram_optim::output::FileError;
-use rowgram_survey::scene::Role;
+use rowgram_survey::{problems::adjustment::AxisError, scene::Role};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -54,33 +54,6 @@ struct Interior {
     values: Vec<f64>,
     standard_deviations: Vec<f64>,
     correlation: Vec<Vec<f64>>,
-}
-
-/// A control or check point, metres.
-#[derive(Debug, Deserialize)]
-pub(super) struct Ground {
-    /// Its name.
-    pub(super) name: String,
-    /// Whether it takes part.
-    pub(super) role: Role,
-    /// Where the adjustment puts it.
-    pub(super) adjusted_m: [f64; 3],
-    /// From the given coordinates to the adjusted ones.
-    pub(super) difference_m: [f64; 3],
-    sigma_m: [f64; 3],
-    /// How many images it was measured in.
-    images: usize,
-    /// Root mean square distance of where it was measured and where it is seen, pixels.
-    image_rms_px: Option<f64>,
-}
-
-/// Errors of the check points along an axis.
-#[derive(Debug, Deserialize)]
-struct AxisError {
-    count: usize,
-    mean_m: f64,
-    rmse_m: f64,
-    interval_m: [f64; 2],
 }
 
 /// An observation.

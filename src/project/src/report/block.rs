@@ -54,10 +54,7 @@ pub(super) fn block(facts: &Facts<'_>) -> Result<Section, Error> {
             @if let Some((map, caption)) = drawings::cameras(facts)? { (drawing(&map, &caption)) }
             (shown(facts, Stage::Align, "figures/overlap.svg", "How many photos see each place.")?)
         }
-        div .pair {
-            (shown(facts, Stage::Align, "figures/match-graph.svg", "Match graph: which photos match, and by which solver they were oriented.")?)
-            (shown(facts, Stage::Align, "figures/cloud-above.png", "The sparse cloud from above.")?)
-        }
+        (shown(facts, Stage::Align, "figures/cloud-above.png", "The sparse cloud from above.")?)
     };
     Ok(Some(("block", "Block", content)))
 }

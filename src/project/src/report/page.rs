@@ -12,12 +12,39 @@ pub(super) const STYLE: &str = include_str!("style.css");
 /// A section: its mark, its title, what is in it; `None` where there is nothing to tell.
 pub(super) type Section = Option<(&'static str, &'static str, Markup)>;
 
+/// A report that needs no other file. Sections have a mark, a word for the way to them, and a title; `style` is what is added to
+/// [`STYLE`], `footer` says what numbers mean and where they are.
+pub(super) fn report(
+    [name, subtitle, style]: [&str; 3],
+    sections: &[(&str, &str, &str, Markup)],
+    footer: &str,
+) -> String {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            (head(name, &html! { style { (PreEscaped(STYLE)) (PreEscaped(style)) } }))
+            body {
+                header { h1 { (name) } p { (subtitle) } }
+                nav { div { @for (mark, word, ..) in sections { a href=(format!("#{mark}")) { (word) } } } }
+                main { @for (mark, _, title, content) in sections { section id=(mark) { h2 { (title) } (content) } } }
+                footer { "Written by rowgram " (env!("CARGO_PKG_VERSION")) ". " (footer) }
+            }
+        }
+    };
+    page.into_string()
+}
+
 /// All of it.
 ///
 /// # Errors
 /// A file of a stage that cannot be read.
 pub(super) fn page(facts: &Facts<'_>) -> Result<String, Error> {
-    let parts: Vec<_> = [
+    let overview = html! {
+        div .numbers { @for (value, what) in numbers(facts) { (big(&value, &what)) } }
+        (lamps(&facts.outcome.checks))
+    };
+    let sections: Vec<_> = [
+        Some(("overview", "Overview", overview)),
         block::block(facts)?,
         adjustment::adjustment(facts)?,
         adjustment::ground(facts),
@@ -31,40 +58,11 @@ pub(super) fn page(facts: &Facts<'_>) -> Result<String, Error> {
     ]
     .into_iter()
     .flatten()
+    .map(|(mark, title, content)| (mark, title, title, content))
     .collect();
-    let name = &facts.outcome.project;
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            (head(name, &html! { style { (PreEscaped(STYLE)) } }))
-            body {
-                header {
-                    h1 { (name) }
-                    p { (subtitle(facts)) }
-                }
-                nav { div {
-                    a href="#overview" { "Overview" }
-                    @for (mark, title, _) in &parts { a href=(format!("#{mark}")) { (title) } }
-                } }
-                main {
-                    section id="overview" {
-                        h2 { "Overview" }
-                        div .numbers { @for (value, what) in numbers(facts) { (big(&value, &what)) } }
-                        (lamps(&facts.outcome.checks))
-                    }
-                    @for (mark, title, content) in &parts {
-                        section id=(mark) { h2 { (title) } (content) }
-                    }
-                }
-                footer {
-                    "Written by rowgram " (env!("CARGO_PKG_VERSION")) ". Intervals are of 95 %, standard deviations "
-                    "are scaled by sigma0, the centre of the top-left pixel is at (0, 0). The numbers of this page "
-                    "are in stats.json, the tables and maps in the folders beside it."
-                }
-            }
-        }
-    };
-    Ok(page.into_string())
+    let footer = "Intervals are of 95 %, standard deviations are scaled by sigma0, the centre of the top-left pixel is at (0, 0). The numbers \
+         of this page are in stats.json, the tables and maps in the folders beside it.";
+    Ok(report([&facts.outcome.project, &subtitle(facts), ""], &sections, footer))
 }
 
 /// The page of a map that a server sends, with its style in a file, and a way to the page of marks where there is one.

@@ -2,7 +2,7 @@
 
 use super::page;
 use crate::season::{PlotSeries, SeasonFile, SeasonFlight, SeasonOutcome, SeasonTrait};
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
 use rowgram_base::error::Error;
 use rowgram_plants::problems::growth_curve::Estimate;
 use serde_json::json;
@@ -32,41 +32,23 @@ pub fn write_season(
 fn whole(outcome: &SeasonOutcome) -> String {
     let (first, last) = (outcome.flights.first(), outcome.flights.last());
     let dates = first.zip(last).map(|(first, last)| format!("{} to {}", first.date, last.date));
-    html! {
-        (DOCTYPE)
-        html lang="en" {
-            (page::head(&outcome.name, &html! { style { (PreEscaped(page::STYLE)) (PreEscaped(OWN_STYLE)) } }))
-            body {
-                header { h1 { (outcome.name) } p { (dates.unwrap_or_default()) } }
-                nav { div {
-                    a href="#overview" { "Overview" }
-                    a href="#flights" { "Flights" }
-                    @if !outcome.outlines_m.is_empty() { a href="#map" { "Map" } }
-                    @if has_colours(outcome) { a href="#colours" { "Colours" } }
-                    a href="#growth" { "Growth" }
-                    a href="#plants" { "Plants" }
-                } }
-                main {
-                    section id="overview" { h2 { "Overview" } (overview(outcome)) }
-                    section id="flights" { h2 { "Flights in one frame" } (flights(outcome)) }
-                    @if !outcome.outlines_m.is_empty() {
-                        section id="map" { h2 { "Plots by date" } (map(outcome)) }
-                    }
-                    @if has_colours(outcome) {
-                        section id="colours" { h2 { "One scale of colours" } (colours(outcome)) }
-                    }
-                    section id="growth" { h2 { "Growth" } (growth(outcome)) }
-                    section id="plants" { h2 { "Plants" } (plants(outcome)) }
-                }
-                footer {
-                    "Written by rowgram " (env!("CARGO_PKG_VERSION")) ". Intervals are of 95 %. Days count from "
-                    (if outcome.from_sowing { "sowing" } else { "the first flight" })
-                    ". The numbers of this page are in season.json and the tables beside it."
-                }
-            }
-        }
+    let mut sections = vec![
+        ("overview", "Overview", "Overview", overview(outcome)),
+        ("flights", "Flights", "Flights in one frame", flights(outcome)),
+    ];
+    if !outcome.outlines_m.is_empty() {
+        sections.push(("map", "Map", "Plots by date", map(outcome)));
     }
-    .into_string()
+    if has_colours(outcome) {
+        sections.push(("colours", "Colours", "One scale of colours", colours(outcome)));
+    }
+    sections.push(("growth", "Growth", "Growth", growth(outcome)));
+    sections.push(("plants", "Plants", "Plants", plants(outcome)));
+    let from = if outcome.from_sowing { "sowing" } else { "the first flight" };
+    let footer = format!(
+        "Intervals are of 95 %. Days count from {from}. The numbers of this page are in season.json and the tables beside it."
+    );
+    page::report([&outcome.name, &dates.unwrap_or_default(), OWN_STYLE], &sections, &footer)
 }
 
 fn overview(outcome: &SeasonOutcome) -> Markup {

@@ -123,52 +123,6 @@ macro_rules! lens_models {
                     $(BuiltIn::$model(_) => Model::$model),+
                 }
             }
-
-            fn valid_radius(&self) -> f64 {
-                match self {
-                    $(BuiltIn::$model(lens) => BuiltInLens::valid_radius(lens)),+
-                }
-            }
-
-            fn centre_px(&self) -> Option<[f64; 2]> {
-                match self {
-                    $(BuiltIn::$model(lens) => BuiltInLens::centre_px(lens)),+
-                }
-            }
-
-            #[inline]
-            fn corrected_residual(&self, point: [f64; 3], px: [f64; 2]) -> Option<Projection> {
-                match self {
-                    $(BuiltIn::$model(lens) => BuiltInLens::corrected_residual(lens, point, px)),+
-                }
-            }
-
-            #[inline]
-            fn project_near(&self, point: [f64; 3], px: [f64; 2]) -> Option<[f64; 2]> {
-                match self {
-                    $(BuiltIn::$model(lens) => BuiltInLens::project_near(lens, point, px)),+
-                }
-            }
-
-            #[inline]
-            fn project_with_derivatives_near(
-                &self,
-                point: [f64; 3],
-                px: [f64; 2],
-            ) -> Option<Projection> {
-                match self {
-                    $(BuiltIn::$model(lens) => {
-                        BuiltInLens::project_with_derivatives_near(lens, point, px)
-                    }),+
-                }
-            }
-
-            #[inline]
-            fn as_lens(&self) -> &dyn Lens {
-                match self {
-                    $(BuiltIn::$model(lens) => lens),+
-                }
-            }
         }
     };
 }
@@ -182,6 +136,18 @@ lens_models! {
     Fisheye: Fisheye,
     /// The camera of *Bundle Adjustment in the Large*, [`super::bal`].
     Bal: Bal,
+}
+
+/// An expression of a built-in lens, whichever it is.
+macro_rules! with_lens {
+    ($built_in:expr, $lens:ident => $expression:expr) => {
+        match &$built_in {
+            BuiltIn::Smac($lens) => $expression,
+            BuiltIn::Brown($lens) => $expression,
+            BuiltIn::Fisheye($lens) => $expression,
+            BuiltIn::Bal($lens) => $expression,
+        }
+    };
 }
 
 impl Model {
@@ -282,7 +248,7 @@ impl Interior {
     /// tangent of the angle from the axis (Brown, BAL), or that angle in radians (fisheye); infinite
     /// where it is so everywhere.
     pub fn valid_radius(&self) -> f64 {
-        self.lens.valid_radius()
+        with_lens!(self.lens, lens => BuiltInLens::valid_radius(lens))
     }
 
     /// The model.
@@ -297,7 +263,8 @@ impl Interior {
 
     /// The centre of the images, pixels.
     pub fn centre_px(&self) -> [f64; 2] {
-        self.lens.centre_px().unwrap_or_else(|| centre_px(self.size_px))
+        with_lens!(self.lens, lens => BuiltInLens::centre_px(lens))
+            .unwrap_or_else(|| centre_px(self.size_px))
     }
 
     /// The value of the parameter of this name.
@@ -320,13 +287,13 @@ impl Interior {
 
     /// For a SMAC lens, the residual in the corrected domain ([`Smac::corrected_residual`]).
     pub fn corrected_residual(&self, point: [f64; 3], measured_px: [f64; 2]) -> Option<Projection> {
-        self.lens.corrected_residual(point, measured_px)
+        with_lens!(self.lens, lens => BuiltInLens::corrected_residual(lens, point, measured_px))
     }
 
     /// As [`Lens::project`] of a point whose image is near `near_px`, which finds it faster where a model is
     /// inverted by iteration.
     pub fn project_near(&self, point: [f64; 3], near_px: [f64; 2]) -> Option<[f64; 2]> {
-        self.lens.project_near(point, near_px)
+        with_lens!(self.lens, lens => BuiltInLens::project_near(lens, point, near_px))
     }
 
     /// As [`Lens::project_with_derivatives`] of a point whose image is near `near_px`.
@@ -335,7 +302,7 @@ impl Interior {
         point: [f64; 3],
         near_px: [f64; 2],
     ) -> Option<Projection> {
-        self.lens.project_with_derivatives_near(point, near_px)
+        with_lens!(self.lens, lens => BuiltInLens::project_with_derivatives_near(lens, point, near_px))
     }
 }
 
@@ -351,18 +318,18 @@ impl Lens for Interior {
     }
 
     fn values(&self) -> &[f64] {
-        self.lens.as_lens().values()
+        with_lens!(self.lens, lens => lens.values())
     }
 
     fn project(&self, point: [f64; 3]) -> Option<[f64; 2]> {
-        self.lens.as_lens().project(point)
+        with_lens!(self.lens, lens => lens.project(point))
     }
 
     fn project_with_derivatives(&self, point: [f64; 3]) -> Option<Projection> {
-        self.lens.as_lens().project_with_derivatives(point)
+        with_lens!(self.lens, lens => lens.project_with_derivatives(point))
     }
 
     fn unproject(&self, image_px: [f64; 2]) -> Option<[f64; 3]> {
-        self.lens.as_lens().unproject(image_px)
+        with_lens!(self.lens, lens => lens.unproject(image_px))
     }
 }

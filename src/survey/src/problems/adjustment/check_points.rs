@@ -10,7 +10,7 @@ use crate::camera::Lens;
 use crate::scene::{GroundObservation, Reconstruction, Role};
 use nalgebra::{Matrix3, Vector3};
 use rowgram_optim::geometry::rotation;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// A check point after the adjustment.
@@ -29,7 +29,7 @@ pub struct CheckPoint {
 }
 
 /// The errors along one axis.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AxisError {
     /// How many points.
     pub count: usize,
