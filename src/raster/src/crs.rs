@@ -116,6 +116,7 @@ impl Crs {
     /// # Errors
     /// A text that cannot be read, or names a projection that is not there.
     pub fn of_well_known_text(text: &str) -> Result<Crs, CrsError> {
+        let text = in_plan(text);
         if let Some(code) = code_of_text(text).or_else(|| code_of_zone(text))
             && let Ok(known) = Crs::of_code(code)
         {
@@ -232,7 +233,7 @@ impl Crs {
         Crs::of_words(words)?.in_metres()
     }
 
-    /// The system that words name, whatever its unit: `EPSG:32611`, `32611`, a PROJ string, or `WGS84 UTM 11N` or `11T`
+    /// The system that words name, whatever its unit: `EPSG:32611`, `32611`, a PROJ string, well-known text, or `WGS84 UTM 11N` or `11T`
     /// and `WGS84` as in the headers of control point lists.
     ///
     /// # Errors
@@ -245,12 +246,20 @@ impl Crs {
             }
             _ => words,
         };
+        // Of a compound one (`EPSG:32616+5703`) the first is in plan.
+        let code = match code.split_once('+') {
+            Some((plan, height)) if height.trim().parse::<u32>().is_ok() => plan,
+            _ => code,
+        };
         if let Ok(code) = code.trim().parse::<u32>() {
             return Crs::of_code(code);
         }
         let lower = words.to_ascii_lowercase();
         if lower.starts_with("+proj") {
             return Crs::of_definition(words);
+        }
+        if words.contains('[') {
+            return Crs::of_well_known_text(words);
         }
         if let Some(code) = utm_code(words) {
             return Crs::of_code(code);
@@ -337,6 +346,22 @@ impl Crs {
         })?;
         Ok([place.1.to_degrees(), place.0.to_degrees()])
     }
+}
+
+/// Of the text of a compound system the part that is in plan.
+fn in_plan(text: &str) -> &str {
+    if !text.trim_start().to_ascii_uppercase().starts_with("COMP") {
+        return text;
+    }
+    let begin =
+        ["PROJCS[", "PROJCRS[", "GEOGCS[", "GEOGCRS["].iter().find_map(|key| text.find(key));
+    let text = begin.map_or(text, |begin| &text[begin..]);
+    let mut depth = 0;
+    let is_end = |c: char| {
+        depth += i32::from(c == '[') - i32::from(c == ']');
+        c == ']' && depth == 0
+    };
+    text.find(is_end).map_or(text, |end| &text[..=end])
 }
 
 /// The code that well-known text gives itself: the last one, where it stands in no part of the text.
@@ -469,6 +494,10 @@ mod tests {
             assert_eq!(tell(words), (true, true), "{words}");
         }
         let tokyo = "+proj=longlat +ellps=GRS80 +towgs84=-146.414,507.337,680.507 +no_defs";
+        let compound = r#"COMPD_CS["x",PROJCS["y",AUTHORITY["EPSG","32616"]],VERT_CS["z",AUTHORITY["EPSG","5773"]]]"#;
+        for words in ["EPSG:32616+5703", compound] {
+            assert_eq!(Crs::of_words(words).unwrap().epsg(), Some(32616));
+        }
         for words in ["EPSG:4314", tokyo] {
             assert_eq!(tell(words), (true, false), "{words}");
         }
