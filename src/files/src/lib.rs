@@ -40,3 +40,4 @@ mod table;
 mod words;
 
 pub use rowgram_optim::output::{self, FileError};
+pub use table::{decode, read_text};
