@@ -36,6 +36,7 @@ pub mod poses;
 pub mod qgis;
 pub mod rasters;
 pub mod reconstruction;
+pub mod side_files;
 mod table;
 mod words;
 

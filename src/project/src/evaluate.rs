@@ -6,7 +6,7 @@ use rowgram_files::{
     csv_table::{CsvTable, CsvWriter},
     geotiff::Reader,
     points,
-    polygons::{self, Named},
+    polygons::Named,
     rasters::Source,
 };
 use rowgram_optim::output::{self, FileError};
@@ -118,9 +118,7 @@ impl Task for Evaluate {
 
     fn inputs(project: &Project, _: &EvaluateOptions) -> Result<Vec<PathBuf>, Error> {
         let mut files = vec![truth_of(project)?, plants_of(project)?, project.orthomosaic()?];
-        for path in [project.plots(), project.regions()].into_iter().flatten() {
-            files.extend(polygons::files(&path));
-        }
+        files.extend([project.plots(), project.regions()].into_iter().flatten());
         files.extend(project.finished(Stage::LeafCount, "counts.csv"));
         Ok(files)
     }

@@ -81,7 +81,7 @@ impl Task for LeafCountStage {
         let mut files = vec![project.mask()?];
         match (options.rho_px, project.regions()) {
             (Some(_), _) => {}
-            (None, Some(regions)) => files.extend(polygons::files(&regions)),
+            (None, Some(regions)) => files.push(regions),
             (None, None) => {
                 return Err(Error::NothingToDo(
                     "no leaves were counted by hand: give regions.geojson or [leaf_count] rho_px"
@@ -90,7 +90,7 @@ impl Task for LeafCountStage {
             }
         }
         files.extend(project.finished(Stage::Segment, leaf_mask::VALID));
-        files.extend(project.plots().iter().flat_map(|plots| polygons::files(plots)));
+        files.extend(project.plots());
         Ok(files)
     }
 

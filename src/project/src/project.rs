@@ -21,8 +21,8 @@ use super::{
     record::{self, Content, Lock, Records, STORE, Store},
 };
 use rowgram_base::{error::Error, options::Choice};
-use rowgram_files::{geotiff::Reading, polygons, rasters::Source};
-use rowgram_optim::output::FileError;
+use rowgram_files::{geotiff::Reading, polygons, rasters::Source, side_files::with_side_files};
+use rowgram_optim::output::{FileError, name_of};
 use std::{
     path::{Path, PathBuf},
     sync::Arc,
@@ -216,10 +216,11 @@ impl Project {
         record::remembered(&self.root, files, &self.store_of_all())
     }
 
-    /// The contents of files.
+    /// The contents of files and of those beside them that are read with them.
     pub(super) fn contents(&self, files: &[PathBuf]) -> Result<Vec<Content>, Error> {
+        let files: Vec<PathBuf> = files.iter().flat_map(|path| with_side_files(path)).collect();
         let all: Result<Vec<Content>, FileError> =
-            self.content_of_each(files)?.into_iter().collect();
+            self.content_of_each(&files)?.into_iter().collect();
         Ok(all?)
     }
 

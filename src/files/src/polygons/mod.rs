@@ -104,14 +104,10 @@ pub fn find(folder: &Path, stem: &str) -> Option<PathBuf> {
     wanted.iter().find_map(|name| files.iter().find(|path| is_named(path, name)).cloned())
 }
 
-/// All files that a file of polygons consists of, itself first.
-pub fn files(path: &Path) -> Vec<PathBuf> {
-    let mut files = vec![path.to_owned()];
-    if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("shp")) {
-        let beside = ["dbf", "shx", "prj", "qpj", "cpg"];
-        files.extend(beside.iter().filter_map(|ending| shapes::beside(path, ending)));
-    }
-    files
+/// The files beside a shapefile that are there.
+pub(crate) fn shapefile_parts(path: &Path) -> Vec<PathBuf> {
+    let beside = ["dbf", "shx", "prj", "qpj", "cpg"];
+    beside.iter().filter_map(|ending| shapes::beside(path, ending)).collect()
 }
 
 /// Reads the polygons of a file: `.gpkg`, `.shp`, else GeoJSON.

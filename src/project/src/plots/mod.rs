@@ -25,10 +25,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
     options::Auto,
 };
-use rowgram_files::{
-    polygons::{self, Named},
-    rasters,
-};
+use rowgram_files::{polygons::Named, rasters};
 use rowgram_optim::output::{FileError, name_of};
 use rowgram_plants::phenotype::{
     plots::{Area, PlotIndex, SeenField},
@@ -167,9 +164,7 @@ impl Task for Plots {
     fn inputs(project: &Project, options: &PlotsOptions) -> Result<Vec<PathBuf>, Error> {
         let mut files = vec![project.mask()?];
         files.extend(project.orthomosaic().ok());
-        if let Some(path) = project.plots() {
-            files.extend(polygons::files(&path));
-        }
+        files.extend(project.plots());
         files.extend(variable_ids_path(project, options));
         files.extend(options.field_book.as_ref().map(|path| project.root().join(path)));
         files.extend(project.finished(Stage::Segment, leaf_mask::VALID));
