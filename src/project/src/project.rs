@@ -17,7 +17,7 @@ use super::{
     Config, SETTINGS, Stage,
     config::ProjectOptions,
     orthomosaic,
-    photo_folder::{FlightPhotos, IMAGES, flight_photos, photo_name, photos_in},
+    photo_folder::{FlightPhotos, IMAGES, flight_photos, photo_name, photos_in, unread_photos},
     record::{self, Content, Lock, Records, STORE, Store},
 };
 use rowgram_base::{error::Error, options::Choice};
@@ -257,7 +257,7 @@ impl Project {
     pub fn polygons(&self, named: Option<&PathBuf>, stem: &str) -> Option<PathBuf> {
         match named {
             Some(path) => Some(self.root.join(path)),
-            None => polygons::find(&self.root, stem),
+            None => polygons::find(&self.root, stem, &polygons::ENDINGS).into_iter().next(),
         }
     }
 
@@ -269,6 +269,13 @@ impl Project {
 
     /// Where photos are looked for, for people.
     pub(super) fn photo_place(&self) -> String {
+        let unread = unread_photos(&self.photo_folder());
+        if !unread.is_empty() {
+            let (count, first) = (unread.len(), name_of(&unread[0]));
+            return format!(
+                "in images/ or directly that are read, but {count} files such as {first}: convert them to JPEG or TIFF, and keep their EXIF"
+            );
+        }
         if !self.root.join(IMAGES).is_dir() {
             return "in images/ or directly".to_owned();
         }
