@@ -184,7 +184,11 @@ fn of_polygons(project: &Project) -> Vec<Diagnostic> {
         found.diagnostic(&table(&path, "field-book", read.map_err(Error::from)));
     }
     if let Some((path, read)) = evaluate::doctor(project) {
-        found.diagnostic(&table(&path, "truth", read.map(|count| format!("{count} true plants"))));
+        found.diagnostic(&table(
+            &path,
+            "truth-readable",
+            read.map(|count| format!("{count} true plants")),
+        ));
     }
     found.diagnostics
 }
