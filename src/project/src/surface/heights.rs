@@ -271,9 +271,9 @@ const HIGHEST_M: f32 = 12_000.0;
 
 /// Heights beyond so many metres in which there is no cell are none: no crop or tree is higher than that without cells between, nor is a slope.
 /// Assumed.
-const GAP_M: usize = 30;
+const GAP_M: i32 = 30;
 /// The same of cells of exactly 0, which some programs write for no height.
-const ZERO_GAP_M: usize = 5;
+const ZERO_GAP_M: i32 = 5;
 /// Rows that are in memory together.
 const BAND: usize = 256;
 
@@ -332,13 +332,14 @@ impl Counts {
         let counts = (-(HIGHEST_M as i32)..).zip(self.by_metre.iter().copied());
         let metres: Vec<(i32, u64)> = counts.filter(|(_, count)| *count > 0).collect();
         let cells = |of: &[(i32, u64)]| of.iter().map(|(_, count)| count).sum::<u64>();
-        let groups = metres.chunk_by(|(a, _), (b, _)| b - a <= GAP_M as i32);
+        let groups = metres.chunk_by(|(a, _), (b, _)| b - a <= GAP_M);
         let Some(kept) = groups.max_by_key(|of| cells(of)) else { return Screen::default() };
-        let (first, last) = (kept[0].0, kept[kept.len() - 1].0);
-        let without_zero = self.zeros > 0
-            && !metres
-                .iter()
-                .any(|(at, _)| (-1 - ZERO_GAP_M as i32..=ZERO_GAP_M as i32).contains(at));
+        let (mut first, mut last) = (kept[0].0, kept[kept.len() - 1].0);
+        let near_zero = -1 - ZERO_GAP_M..=ZERO_GAP_M;
+        let without_zero = self.zeros > 0 && !kept.iter().any(|(at, _)| near_zero.contains(at));
+        if self.zeros > 0 && !without_zero {
+            (first, last) = (first.min(0), last.max(0));
+        }
         let zeros = if without_zero { self.zeros } else { 0 };
         let others = metres.iter().map(|(at, _)| *at).filter(|at| !(first..=last).contains(at));
         let others = others.chain(without_zero.then_some(0)).map(|at| at as f32);
