@@ -10,6 +10,7 @@
 //! from the block where there is control, and named.
 
 mod datum;
+mod well_known_text;
 
 pub use datum::{is_global, knows_datum};
 
@@ -116,8 +117,8 @@ impl Crs {
     /// # Errors
     /// A text that cannot be read, or names a projection that is not there.
     pub fn of_well_known_text(text: &str) -> Result<Crs, CrsError> {
-        let text = in_plan(text);
-        if let Some(code) = code_of_text(text).or_else(|| code_of_zone(text))
+        let text = well_known_text::in_plan(text);
+        if let Some(code) = well_known_text::code(text).or_else(|| code_of_zone(text))
             && let Ok(known) = Crs::of_code(code)
         {
             return Ok(known);
@@ -346,39 +347,6 @@ impl Crs {
         })?;
         Ok([place.1.to_degrees(), place.0.to_degrees()])
     }
-}
-
-/// Of the text of a compound system the part that is in plan.
-fn in_plan(text: &str) -> &str {
-    if !text.trim_start().to_ascii_uppercase().starts_with("COMP") {
-        return text;
-    }
-    let begin =
-        ["PROJCS[", "PROJCRS[", "GEOGCS[", "GEOGCRS["].iter().find_map(|key| text.find(key));
-    let text = begin.map_or(text, |begin| &text[begin..]);
-    let mut depth = 0;
-    let is_end = |c: char| {
-        depth += i32::from(c == '[') - i32::from(c == ']');
-        c == ']' && depth == 0
-    };
-    text.find(is_end).map_or(text, |end| &text[..=end])
-}
-
-/// The code that well-known text gives itself: the last one, where it stands in no part of the text.
-fn code_of_text(text: &str) -> Option<u32> {
-    let at = text.rfind("AUTHORITY[").max(text.rfind("ID["))?;
-    let depth = text[..at].chars().fold(0, |depth, c| match c {
-        '[' => depth + 1,
-        ']' => depth - 1,
-        _ => depth,
-    });
-    let mut words = text[at..].split(['[', ',', ']']).map(|word| word.trim().trim_matches('"'));
-    let _keyword = words.next();
-    let is_epsg = words.next().is_some_and(|who| who.eq_ignore_ascii_case("EPSG"));
-    if depth != 1 || !is_epsg {
-        return None;
-    }
-    words.next()?.parse().ok()
 }
 
 /// The EPSG code of a text named after a UTM zone and its datum: `PROJCS["WGS_1984_UTM_Zone_16N",...` (Esri), `PROJCS["WGS 84 / UTM zone 16N",...`.
