@@ -279,3 +279,28 @@ fn heights_that_are_none_are_refused_with_their_file() {
         assert!(run.stderr.contains(file) && run.stderr.contains(said), "{words}: {}", run.stderr);
     }
 }
+
+#[test]
+fn heights_far_from_all_others_are_left_out_and_a_side_file_counts() {
+    let folder = tempfile::tempdir().unwrap();
+    let field = Field::new(folder.path());
+    let project = folder.path().join("field");
+    field.project(&project);
+    let [x, y] = field.place.origin;
+    let is_bird = |at: [f64; 2]| at[0] - x < 0.5 && y - at[1] < 0.5;
+    let surface = |at: [f64; 2]| if is_bird(at) { 900.0 } else { field.surface_m(at) };
+    field.raster(&project.join("dsm.tif"), (32632, 0.1), surface);
+    field.raster(&project.join("dtm.tif"), (32632, 0.5), |at| field.ground_m(at));
+    let said = || {
+        let run = rowgram(&project, "surface .");
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        ["far from all others", "kept"].map(|part| run.stderr.contains(part))
+    };
+    assert_eq!(said(), [true, false]);
+    assert_eq!(said(), [true, true]);
+    // What GDAL writes beside a raster counts as the raster does.
+    let xml = "<PAMDataset><PAMRasterBand band=\"1\"><NoDataValue>900</NoDataValue></PAMRasterBand></PAMDataset>";
+    fs::write(project.join("dsm.tif.aux.xml"), xml).unwrap();
+    assert_eq!(said(), [false, false]);
+    assert_eq!(said(), [false, true]);
+}

@@ -223,7 +223,7 @@ fn names_of_plots_are_text_in_tables() {
     );
     let table = rowgram::io::csv_table::CsvTable::read(&at.join("counts.csv")).unwrap();
     let expected =
-        ["whole", "=HYPERLINK(\"http://x\")", "@a", "+b", "plot whole", "5", "c,d", "e\nf"];
+        ["whole", "=HYPERLINK(\"http://x\")", "@a", "+b", "plot whole", "unnamed 5", "c,d", "e\nf"];
     assert_eq!(table.texts("plot").unwrap(), expected);
 }
 

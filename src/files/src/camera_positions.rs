@@ -11,7 +11,7 @@ use super::{
     FileError,
     columns::{self, Coordinates},
     photo::Geotag,
-    table::{Row, Table, decode},
+    table::{Row, Table, read_text},
 };
 use rowgram_raster::crs::Crs;
 use std::{collections::HashMap, path::Path};
@@ -164,7 +164,7 @@ fn before<'a>(fields: &[&'a str], unit: &str) -> Option<&'a str> {
 
 /// DJI's image log: one line a photo, fields by tabs, the unit after each number; standard deviations along north, east, up.
 fn read_mrk(path: &Path) -> Result<CameraPlaces, FileError> {
-    let text = decode(crate::memory::read_file(path)?);
+    let text = read_text(path)?;
     let mut rows = Vec::new();
     for (k, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let fault = |what: &str| {

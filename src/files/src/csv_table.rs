@@ -107,7 +107,9 @@ impl CsvTable {
         name: &str,
         of: impl Fn(&Row, super::table::Column) -> T,
     ) -> Option<Vec<T>> {
-        let (_, column) = self.0.columns().find(|(title, _)| *title == name)?;
+        let exact = self.0.columns().find(|(title, _)| *title == name);
+        let like = || self.0.columns().find(|(title, _)| title.eq_ignore_ascii_case(name));
+        let (_, column) = exact.or_else(like)?;
         Some(self.0.rows().iter().map(|row| of(row, column)).collect())
     }
 

@@ -41,7 +41,7 @@ pub enum Surveyed {
 /// # Errors
 /// A damaged table, a corner that does not exist or is there twice, fewer than two corners.
 pub fn read_corners(path: &Path) -> Result<Vec<(FieldCorner, Surveyed)>, FileError> {
-    let table = Table::with_header(path)?;
+    let table = Table::read(path)?;
     let name = table.required("corners", CORNER)?;
     let in_degrees = table.column(LONGITUDE).zip(table.column(LATITUDE));
     let place = |row: &Row| match in_degrees {
@@ -79,6 +79,14 @@ pub fn read_corners(path: &Path) -> Result<Vec<(FieldCorner, Surveyed)>, FileErr
         return Err(table.whole_fault(message));
     }
     Ok(corners.into_iter().collect())
+}
+
+/// The words by which a table of corners names the reference system of its metres.
+///
+/// # Errors
+/// A damaged table.
+pub fn corner_system(path: &Path) -> Result<Option<String>, FileError> {
+    Ok(Table::read(path)?.system().map(str::to_owned))
 }
 
 /// The entries of a field by plot.
@@ -235,6 +243,9 @@ mod tests {
         let (_folder, path) = file("corner,lat,lon\nfirst,40.1,-87.2\nopposite,40.2,-87.1\n");
         let corners = read_corners(&path).unwrap();
         assert_eq!(corners[1], (FieldCorner::Opposite, Surveyed::Degrees([-87.1, 40.2])));
+        let (_folder, path) = file("EPSG:32617\ncorner,x,y\nfirst,1,2\nalong,3,2\n");
+        assert_eq!(corner_system(&path).unwrap().as_deref(), Some("EPSG:32617"));
+        assert_eq!(read_corners(&path).unwrap().len(), 2);
         for (text, expected) in [
             ("corner,x,y\nfirst,1,2\n", "expected two to four"),
             ("corner,x,y\nfirst,1,2\nfirst,1,3\n", "twice"),

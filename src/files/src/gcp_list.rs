@@ -11,7 +11,7 @@ use super::{
     camera_positions::is_geographic,
     columns::latitude_first,
     control::{Control, Defaults, NamedMark, is_check_name},
-    table::decode,
+    table::read_text,
 };
 use rowgram_survey::scene::{Axes, GroundPoint, Role};
 use std::path::Path;
@@ -25,7 +25,7 @@ pub fn read(
     defaults: &Defaults,
     photos_deg: Option<[f64; 2]>,
 ) -> Result<Control, FileError> {
-    let text = decode(crate::memory::read_file(path)?);
+    let text = read_text(path)?;
     let mut control = parse(&text, defaults)
         .map_err(|(line, message)| FileError::malformed(path, line, message))?;
     if control.geographic {

@@ -35,7 +35,9 @@ pub mod poses;
 pub mod qgis;
 pub mod rasters;
 pub mod reconstruction;
+pub mod side_files;
 mod table;
 mod words;
 
 pub use rowgram_optim::output::{self, FileError};
+pub use table::{decode, read_text};

@@ -46,7 +46,7 @@ pub fn from_angles_rad([omega, phi, kappa]: [f64; 3]) -> rotation::Quaternion {
 /// # Errors
 /// Names the file, the line, the column or the photo.
 pub fn read(path: &Path) -> Result<Vec<Exterior>, FileError> {
-    let text = super::table::decode(crate::memory::read_file(path)?);
+    let text = super::table::read_text(path)?;
     let poses = if text.trim_start().starts_with('{') {
         let file: Value = serde_json::from_str(&text)
             .map_err(|e| FileError::malformed(path, e.line(), e.to_string()))?;
@@ -79,11 +79,8 @@ fn row(table: &Table, row: &Row) -> Result<Exterior, FileError> {
     let name = text(columns::IMAGE)
         .filter(|name| !name.is_empty())
         .ok_or_else(|| table.fault(row, "no name of a photo; expected a column filename".into()))?;
-    let centre_m = [
-        needed(&["x", "x_m", "easting", "easting_m"])?,
-        needed(&["y", "y_m", "northing", "northing_m"])?,
-        needed(&["z", "z_m", "altitude", "height_m"])?,
-    ];
+    let centre_m =
+        [needed(columns::EASTING)?, needed(columns::NORTHING)?, needed(columns::HEIGHT)?];
     let mut angles = [0.0; 3];
     for (angle, name) in angles.iter_mut().zip(["omega", "phi", "kappa"]) {
         let (degrees, radians) = (format!("{name}_deg"), format!("{name}_rad"));
@@ -150,6 +147,7 @@ mod tests {
         let texts = [
             "filename,x,y,z,omega,phi,kappa\na.tif,1,2,3,10,-20,30\n",
             "'filename' 'x' 'y' 'z' 'omega' 'phi' 'kappa' 'camera'\n'a.tif' 1 2 3 10 -20 30 'a b c'\n",
+            "PhotoID,X/Easting,Y/Northing,Z/Altitude,Omega,Phi,Kappa\na.tif,1,2,3,10,-20,30\n",
             "image;x_m;y_m;z_m;omega_deg;phi_deg;kappa_deg\na.tif;1;2;3;10;-20;30\n",
         ];
         let folder = tempfile::tempdir().unwrap();

@@ -2,13 +2,17 @@
 //!
 //! Comma, semicolon, tab or blanks separate; numbers have a decimal point or, where commas do not separate, a decimal comma;
 //! the text is UTF-8, UTF-16 with a byte order mark, or else Latin-1. A first row in which no field is a number is the header;
-//! without one, the last line of comments (`#`, `%`) before the rows is, where it has as many fields. Lines of comments and a
-//! first line that names a reference system are kept apart.
+//! without one, the last line of comments (`#`, `%`) before the rows is, where it has as many fields. Lines of comments, a title of
+//! the whole in the first of several cells and a first line that names a reference system are kept apart.
 
 mod separator;
 mod units;
 
-use super::{FileError, csv_table::of_cell, words::LARGEST};
+use super::{
+    FileError,
+    csv_table::of_cell,
+    words::{LARGEST, is_none},
+};
 use encoding_rs::{Encoding, WINDOWS_1252};
 use separator::Separator;
 use std::path::{Path, PathBuf};
@@ -45,7 +49,7 @@ pub(super) struct Row {
 pub(super) struct Column(usize);
 
 /// The text of a file: by its byte order mark, else UTF-8, else Latin-1 as Windows writes it.
-pub(super) fn decode(bytes: Vec<u8>) -> String {
+pub fn decode(bytes: Vec<u8>) -> String {
     match Encoding::for_bom(&bytes) {
         Some((encoding, mark)) => {
             encoding.decode_without_bom_handling(&bytes[mark..]).0.into_owned()
@@ -54,6 +58,14 @@ pub(super) fn decode(bytes: Vec<u8>) -> String {
             WINDOWS_1252.decode_without_bom_handling(error.as_bytes()).0.into_owned()
         }),
     }
+}
+
+/// As [`decode`], of a file.
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn read_text(path: &Path) -> Result<String, FileError> {
+    Ok(decode(crate::memory::read_file(path)?))
 }
 
 /// A title as it is compared: without unit, in lower case, words joined by `_`.
@@ -79,10 +91,18 @@ pub(super) fn is_called(title: &str, name: &str) -> bool {
     normal(title) == normal(name)
 }
 
-/// Whether a line names a reference system, as the first of an OpenDroneMap list does.
+/// The words of a line that names a reference system: the first of an OpenDroneMap list, of Metashape with a title.
+fn system_words(line: &str) -> &str {
+    let bare = line.trim_start_matches(['#', ' ']);
+    let (title, rest) = bare.split_once(':').unwrap_or_default();
+    if normal(title).replace('_', "") == "coordinatesystem" { rest.trim() } else { bare }
+}
+
 fn names_system(line: &str) -> bool {
-    let upper = line.trim_start_matches(['#', ' ']).to_ascii_uppercase();
-    ["EPSG:", "+PROJ", "WGS84", "WGS 84"].iter().any(|begin| upper.starts_with(begin))
+    let upper = system_words(line).to_ascii_uppercase();
+    ["EPSG:", "+PROJ", "WGS84", "WGS 84", "PROJCS[", "GEOGCS[", "COMPD_CS["]
+        .iter()
+        .any(|begin| upper.starts_with(begin))
 }
 
 impl Table {
@@ -97,8 +117,13 @@ impl Table {
     }
 
     fn of(path: &Path, has_header: bool) -> Result<Table, FileError> {
-        let bytes = crate::memory::read_file(path)?;
-        let text = decode(bytes);
+        let text = read_text(path)?;
+        // Office files, of now and before 2007.
+        if ["PK\u{3}\u{4}", "\u{d0}\u{cf}\u{11}\u{e0}"].iter().any(|of| text.starts_with(of)) {
+            let message =
+                "it is an Excel workbook or an archive, expected a table of text: save it as CSV";
+            return Err(FileError::malformed(path, None, message));
+        }
         if let Some(at) = text.find('\0') {
             let line = text[..at].matches('\n').count() + 1;
             return Err(FileError::malformed(path, line, "not text: it has a character NUL"));
@@ -159,6 +184,12 @@ impl Table {
                     return true;
                 }
                 if self.header.is_empty() && self.rows.is_empty() {
+                    // The title of a sheet stands in its first cell, above the header.
+                    let is_title = separator.number(fields[0]).is_none()
+                        && fields[1..].iter().all(|field| field.is_empty());
+                    if fields.len() > 1 && is_title {
+                        return true;
+                    }
                     self.named =
                         has_header || fields.iter().all(|field| separator.number(field).is_none());
                     if self.named {
@@ -249,8 +280,7 @@ impl Table {
 
     /// The words by which it names a reference system.
     pub(super) fn system(&self) -> Option<&str> {
-        let line = self.preamble.iter().find(|line| names_system(line))?;
-        Some(line.trim_start_matches(['#', ' ']))
+        self.preamble.iter().find(|line| names_system(line)).map(|line| system_words(line))
     }
 
     /// The lines before its rows that are none: comments, and a reference system.
@@ -358,9 +388,9 @@ impl Table {
         row: &Row,
         column: Column,
     ) -> Result<Option<f64>, FileError> {
-        match self.text(row, column).to_ascii_lowercase().as_str() {
-            "" | "nan" | "na" | "n/a" | "none" | "null" | "-" | "*" => Ok(None),
-            _ => self.number(row, column).map(Some),
+        match is_none(self.text(row, column)) {
+            true => Ok(None),
+            false => self.number(row, column).map(Some),
         }
     }
 

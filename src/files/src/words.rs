@@ -20,6 +20,12 @@ pub(super) fn usable(what: &str, value: f64) -> Result<f64, String> {
     Ok(value)
 }
 
+/// Whether a field says that there is nothing.
+pub(super) fn is_none(field: &str) -> bool {
+    let nothing = ["", "nan", "na", "n/a", "none", "null", "-", "*"];
+    nothing.iter().any(|of| field.trim().eq_ignore_ascii_case(of))
+}
+
 /// The text of a file.
 ///
 /// # Errors

@@ -329,8 +329,8 @@ fn commented(text: &str) -> String {
 
 /// What a settings file says, each entry checked; nothing where there is no file.
 fn from_file(path: &Path, sections: &[Section]) -> Result<Table, Error> {
-    let text = match std::fs::read_to_string(path) {
-        Ok(text) => text,
+    let text = match std::fs::read(path) {
+        Ok(bytes) => rowgram_files::decode(bytes),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Table::new()),
         Err(e) if e.kind() == std::io::ErrorKind::NotADirectory => {
             let message = "it is a file, expected the folder of a project";
@@ -344,8 +344,11 @@ fn from_file(path: &Path, sections: &[Section]) -> Result<Table, Error> {
         // A key above all sections has no section that could take it.
         let top: Table = text.parse().unwrap_or_default();
         let loose = top.into_iter().find(|(_, value)| !value.is_table());
+        let of_line = line.and_then(|line| text.lines().nth(line - 1)).unwrap_or_default();
+        let is_path = of_line.contains('\\') && of_line.contains('"');
+        let remedy = if is_path { "; write paths with / or in single quotes" } else { "" };
         let message = loose.map_or_else(
-            || e.message().to_owned(),
+            || format!("{}{remedy}", e.message()),
             |(key, _)| {
                 format!("{key}: expected a section such as [align] or [plots] above the keys")
             },

@@ -3,8 +3,9 @@
 use super::{
     Config, PHOTO_ENDINGS, Project, Stage,
     align::{inputs::is_same_camera, plan_m},
+    evaluate,
     forecast::{self, Forecast},
-    layers, orthomosaic,
+    layers, leaf_count, orthomosaic,
     photo_folder::UNUSABLE_NAME,
     plots,
     run::LEAST_PHOTOS,
@@ -16,7 +17,8 @@ use rowgram_base::{
     monitor::{Collector, Diagnostic, Monitor, Severity},
 };
 use rowgram_files::{
-    images,
+    csv_table::CsvTable,
+    field_design, images,
     photo::{self, Geotag, Metadata},
     polygons::{self, Named},
 };
@@ -97,7 +99,9 @@ pub fn doctor(
     if let Err(error) = orthomosaic::check_bands(&project) {
         found.push(Diagnostic::error("settings-refused", "settings", error.to_string()));
     }
-    if project.plots().is_none() && project.config().plots.rows_per_plot.is_none() {
+    if let Some(unread) = layers::unread_plots(&project) {
+        found.push(unread);
+    } else if project.plots().is_none() && project.config().plots.rows_per_plot.is_none() {
         let message = "no plots.geojson, .gpkg or .shp: traits are of the whole field";
         found.push(
             Diagnostic::warning("plots-missing", "plots", message)
@@ -111,6 +115,7 @@ pub fn doctor(
 fn of_polygons(project: &Project) -> Vec<Diagnostic> {
     let ortho = project.orthomosaic().ok().and_then(|path| project.open_picture(&path).ok());
     let mut found = Collector::default();
+    let mut names = Vec::new();
     for path in [project.plots(), project.regions()].into_iter().flatten() {
         let subject = path.display().to_string();
         // Without a map their place cannot be checked, but everything else can.
@@ -133,11 +138,24 @@ fn of_polygons(project: &Project) -> Vec<Diagnostic> {
                 })
             }
         };
+        let is_of_leaves = project.regions().as_ref() == Some(&path)
+            && project.config().leaf_count.rho_px.is_none();
+        let read = read.and_then(|layer| {
+            let mut regions = layer.polygons.iter().filter(|_| is_of_leaves);
+            match regions.find(|region| region.leaves.is_none()) {
+                Some(region) => Err(leaf_count::without_leaves(&region.name)),
+                None => Ok(layer),
+            }
+        });
         match read {
             Err(error) => {
                 found.diagnostic(&Diagnostic::error("polygons-unreadable", subject, error));
             }
             Ok(layer) => {
+                if project.plots().as_ref() == Some(&path) {
+                    names.extend(layer.polygons.iter().map(|plot| plot.name.clone()));
+                }
+                layers::say_unused(project, &path, &mut found);
                 layers::say(&path, &layer.notes, &mut found);
                 let count = layer.polygons.len();
                 let message = match &ortho {
@@ -152,7 +170,35 @@ fn of_polygons(project: &Project) -> Vec<Diagnostic> {
             }
         }
     }
+    if let Some(book) = &project.config().plots.field_book {
+        let path = project.root().join(book);
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        // Plots that are made of rows have no names yet.
+        let read = match names.is_empty() {
+            true => CsvTable::read(&path).map(|table| format!("{} rows", table.len())),
+            false => field_design::read_field_book(&path, &names).map(|book| {
+                let (joined, all) = (book.map.plots.len(), names.len());
+                format!("joined by its column {}: {joined} of {all} plots", book.key)
+            }),
+        };
+        found.diagnostic(&table(&path, "field-book", read.map_err(Error::from)));
+    }
+    if let Some((path, read)) = evaluate::doctor(project) {
+        found.diagnostic(&table(
+            &path,
+            "truth-readable",
+            read.map(|count| format!("{count} true plants")),
+        ));
+    }
     found.diagnostics
+}
+
+/// What a table of a project holds, or why it cannot be used.
+fn table(path: &Path, code: &'static str, read: Result<String, Error>) -> Diagnostic {
+    match read {
+        Ok(message) => Diagnostic::info(code, name_of(path), message),
+        Err(error) => Diagnostic::error("table-unreadable", name_of(path), error.to_string()),
+    }
 }
 
 /// How many polygons there are, and which of them lie beside the raster or hold no pixel.
@@ -184,6 +230,13 @@ fn of_orthomosaic(project: &Project, path: &Path, name: &str) -> Vec<Diagnostic>
             return vec![Diagnostic::error("orthomosaic-unreadable", name, error.to_string())];
         }
     };
+    // A copy that was broken off lacks its end.
+    let height = source.size().1;
+    if let Err(error) = source.rgb_and_gaps(height.saturating_sub(1)..height)
+        && source.is_photo()
+    {
+        return vec![Diagnostic::error("orthomosaic-unreadable", name, error.to_string())];
+    }
     let given = match source.georeference().and_then(|place| place.gsd_m()) {
         Some(gsd_m) => {
             let message = format!(

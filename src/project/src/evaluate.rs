@@ -6,10 +6,10 @@ use rowgram_files::{
     csv_table::{CsvTable, CsvWriter},
     geotiff::Reader,
     points,
-    polygons::{self, Named},
+    polygons::Named,
     rasters::Source,
 };
-use rowgram_optim::output::{self, FileError};
+use rowgram_optim::output::{self, FileError, name_of};
 use rowgram_plants::score::Score;
 use rowgram_raster::{
     georeference::{Crs, CrsKind, Georeference},
@@ -118,9 +118,7 @@ impl Task for Evaluate {
 
     fn inputs(project: &Project, _: &EvaluateOptions) -> Result<Vec<PathBuf>, Error> {
         let mut files = vec![truth_of(project)?, plants_of(project)?, project.orthomosaic()?];
-        for path in [project.plots(), project.regions()].into_iter().flatten() {
-            files.extend(polygons::files(&path));
-        }
+        files.extend([project.plots(), project.regions()].into_iter().flatten());
         files.extend(project.finished(Stage::LeafCount, "counts.csv"));
         Ok(files)
     }
@@ -253,8 +251,11 @@ fn true_plants(path: &Path, crs: Crs) -> Result<Vec<TruePlant>, Error> {
             }
         }
     } else {
-        let pairs = "expected easting_m,northing_m, easting_ft,northing_ft, longitude_deg,latitude_deg or x,y";
-        table.pairs("x", "y").ok_or_else(|| malformed(pairs))?
+        let pairs = format!(
+            "expected easting_m,northing_m, easting_ft,northing_ft, longitude_deg,latitude_deg or x,y, found {}",
+            table.header().join(",")
+        );
+        table.pairs("x", "y").ok_or_else(|| malformed(&pairs))?
     };
     let leaves = table.numbers("leaves");
     let check = |k: usize, number: f64, what: &str| {
@@ -335,7 +336,53 @@ fn write(outcome: &EvaluateOutcome, folder: &Path) -> Result<(), Error> {
 pub fn evaluate_positions(found: &Path, truth: &Path, radii_px: &[f64]) -> Result<Score, Error> {
     // A radius that cannot be is refused before files are read.
     Score::new(&[], &[], radii_px)?;
-    Score::new(&points::read(found)?, &points::read(truth)?, radii_px)
+    let (plants, true_plants) = (points::read(found)?, points::read(truth)?);
+    let score = Score::new(&plants, &true_plants, radii_px)?;
+    if score.radii.iter().all(|radius| radius.f1 == Some(0.0)) {
+        check_same_picture(found, &plants, (truth, &true_plants))?;
+    }
+    Ok(score)
+}
+
+/// Refuses true plants that cannot be of the same picture, or in another unit: beside those that were found, or on another scale.
+fn check_same_picture(
+    found: &Path,
+    plants: &[[f64; 2]],
+    (truth, true_plants): (&Path, &[[f64; 2]]),
+) -> Result<(), FileError> {
+    let range = |of: &[[f64; 2]], k: usize| {
+        let values = || of.iter().map(|at| at[k]);
+        [values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max)]
+    };
+    let [own, other] = [plants, true_plants].map(|of| [range(of, 0), range(of, 1)]);
+    let is_beside = (0..2).any(|k| own[k][1] < other[k][0] || other[k][1] < own[k][0]);
+    let size = |of: [[f64; 2]; 2]| of.map(|[low, high]| high - low).into_iter().fold(0.0, f64::max);
+    let scale = size(other) / size(own);
+    if plants.len() < 3 || true_plants.len() < 3 || !is_beside && (0.1..10.0).contains(&scale) {
+        return Ok(());
+    }
+    let text = |[[left, right], [top, bottom]]: [[f64; 2]; 2]| {
+        format!("{left:.1} to {right:.1}, {top:.1} to {bottom:.1}")
+    };
+    let message = format!(
+        "its plants lie at {}, those of {} at {}: expected pixels of the same picture, the second downwards from its top; places on the \
+         map are compared in a project ([project] truth)",
+        text(other),
+        name_of(found),
+        text(own)
+    );
+    Err(FileError::malformed(truth, None, message))
+}
+
+/// Whether the true plants can be read; the file, where there is one.
+pub(super) fn doctor(project: &Project) -> Option<(PathBuf, Result<usize, Error>)> {
+    let truth = truth_of(project).ok()?;
+    let count = || match project.orthomosaic() {
+        Ok(ortho) => Ok(true_plants(&truth, place_of(&ortho)?.0.crs)?.len()),
+        Err(_) => Ok(CsvTable::read(&truth)?.len()),
+    };
+    let count = count();
+    Some((truth, count))
 }
 
 #[cfg(test)]
@@ -373,6 +420,32 @@ mod tests {
         std::fs::write(&path, "a,b\n1,2\n").unwrap();
         let error = true_plants(&path, Crs::LOCAL).unwrap_err().to_string();
         assert!(error.contains("expected easting_m,northing_m"), "{error}");
+        assert!(error.contains("found a,b"), "{error}");
+        // As QGIS writes it.
+        std::fs::write(&path, "X,Y,fid\n1,2,0\n").unwrap();
+        assert_eq!(true_plants(&path, Crs::LOCAL).unwrap()[0].at, [1.0, 2.0]);
+    }
+
+    #[test]
+    fn truth_of_another_picture_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str, rows: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, format!("x,y\n{rows}")).unwrap();
+            path
+        };
+        let found = at("plants.csv", "100,100\n900,500\n300,900\n");
+        let score = |rows: &str| evaluate_positions(&found, &at("truth.csv", rows), &[5.0]);
+        // The map; y upwards; metres.
+        for rows in [
+            "500110,5000100\n500119,5000105\n500103,5000109\n",
+            "100,-100\n900,-500\n300,-900\n",
+            "1,1\n9,5\n3,9\n",
+        ] {
+            let error = score(rows).unwrap_err().to_string();
+            assert!(error.contains("expected pixels of the same picture"), "{error}");
+        }
+        assert_eq!(score("200,200\n800,600\n400,800\n").unwrap().radii[0].f1, Some(0.0));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
 };
 use rowgram_files::polygons::{self, Drawn, Layer, Named};
-use rowgram_optim::output::{FileError, name_of};
+use rowgram_optim::output::{self, FileError, name_of};
 use rowgram_raster::{georeference::Georeference, polygon::Polygon};
 use std::{collections::BTreeMap, path::Path};
 
@@ -22,6 +22,7 @@ pub(super) fn plots(
     monitor: &mut dyn Monitor,
 ) -> Result<Vec<Named>, Error> {
     let layer = layer(project, path, place, Some(size))?;
+    say_unused(project, path, monitor);
     say(path, &layer.notes, monitor);
     say_overlaps(path, &layer.polygons, size, monitor);
     Ok(layer.polygons)
@@ -43,13 +44,41 @@ pub(super) fn layer(
     polygons::read_layer(path, Drawn { place, size, key })
 }
 
+/// Says which files of the same polygons are not used where nobody named one.
+pub(super) fn say_unused(project: &Project, path: &Path, monitor: &mut dyn Monitor) {
+    let settings = &project.config().project;
+    let mut named = [&settings.plots, &settings.regions].into_iter().flatten();
+    let stem = path.file_stem().map(|stem| stem.to_string_lossy()).unwrap_or_default();
+    let mut others = polygons::find(output::folder_of(path), &stem, &polygons::ENDINGS);
+    others.retain(|other| other != path);
+    if others.is_empty() || named.any(|of| project.root().join(of) == path) {
+        return;
+    }
+    let others: Vec<String> = others.iter().map(|path| name_of(path)).collect();
+    let message = format!("polygons are those of {}; this file is not used", name_of(path));
+    let found = Diagnostic::info("polygons-file-unused", others.join(", "), message);
+    monitor.diagnostic(&found.with_remedy("remove one, or name it: [project] plots or regions"));
+}
+
+/// Files of plots in formats that are not read, where there are no others.
+pub(super) fn unread_plots(project: &Project) -> Option<Diagnostic> {
+    let unread = polygons::find(project.root(), "plots", &polygons::UNREAD_ENDINGS);
+    let first = unread.first().filter(|_| project.plots().is_none())?;
+    let message = "not read: traits are of the whole field";
+    let found = Diagnostic::warning("plots-missing", name_of(first), message);
+    Some(found.with_remedy("save it as plots.geojson, .gpkg or .shp"))
+}
+
 /// Says what was chosen and left out in a file of polygons.
 pub(super) fn say(path: &Path, notes: &[String], monitor: &mut dyn Monitor) {
     let subject = name_of(path);
     for note in notes {
-        let found = match note.ends_with("left out") {
-            true => Diagnostic::warning("polygons-left-out", &subject, note),
-            false => Diagnostic::info("polygons-named", &subject, note),
+        let found = if note.ends_with("left out") {
+            Diagnostic::warning("polygons-left-out", &subject, note)
+        } else if note.starts_with("polygons have no") {
+            Diagnostic::warning("polygons-unnamed", &subject, note)
+        } else {
+            Diagnostic::info("polygons-named", &subject, note)
         };
         monitor.diagnostic(&found);
     }

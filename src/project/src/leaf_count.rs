@@ -81,7 +81,7 @@ impl Task for LeafCountStage {
         let mut files = vec![project.mask()?];
         match (options.rho_px, project.regions()) {
             (Some(_), _) => {}
-            (None, Some(regions)) => files.extend(polygons::files(&regions)),
+            (None, Some(regions)) => files.push(regions),
             (None, None) => {
                 return Err(Error::NothingToDo(
                     "no leaves were counted by hand: give regions.geojson or [leaf_count] rho_px"
@@ -90,7 +90,7 @@ impl Task for LeafCountStage {
             }
         }
         files.extend(project.finished(Stage::Segment, leaf_mask::VALID));
-        files.extend(project.plots().iter().flat_map(|plots| polygons::files(plots)));
+        files.extend(project.plots());
         Ok(files)
     }
 
@@ -210,6 +210,10 @@ pub fn count_leaves(
     Ok(LeafCountOutcome { rho_px: calibration.rho, is_orthorectified, counts })
 }
 
+pub(super) fn without_leaves(name: &str) -> String {
+    format!("region {name} lacks the property leaves, its counted leaves")
+}
+
 /// A region of which the raster shows less than this is doubtful: leaves were counted in all of it. Pixels at its edge may differ by rounding.
 const WHOLE_REGION: f64 = 0.99;
 
@@ -226,10 +230,8 @@ fn regions(
     let mut found = Vec::with_capacity(all.len());
     let (mut unseen, mut bare) = (Vec::new(), Vec::new());
     for Named { name, polygon, leaves, .. } in &all {
-        let leaves = leaves.ok_or_else(|| {
-            let message = format!("region {name} lacks the property leaves, its counted leaves");
-            FileError::malformed(path, None, message)
-        })?;
+        let leaves =
+            leaves.ok_or_else(|| FileError::malformed(path, None, without_leaves(name)))?;
         let runs = polygon.runs(mask.width, mask.height);
         if runs.is_empty() {
             let message = format!("region {name} holds no pixel of the raster");

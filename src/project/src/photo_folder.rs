@@ -12,6 +12,9 @@ const DEEPEST: usize = 3;
 /// Ends of the names of band files, of DJI's and Parrot's multispectral cameras.
 const BAND_ENDS: [&str; 9] =
     ["_MS_G", "_MS_R", "_MS_RE", "_MS_NIR", "_MS_B", "_GRE", "_RED", "_REG", "_NIR"];
+/// Photos of telephones, and as the sensor saw them.
+const UNREAD_ENDINGS: [&str; 10] =
+    ["heic", "heif", "avif", "dng", "raw", "arw", "cr2", "cr3", "nef", "rw2"];
 /// Fewer colour photos than this are no flight, and bands are all there is.
 const LEAST_COLOUR: usize = 3;
 
@@ -57,6 +60,10 @@ fn is_text_below(path: &Path, folder: &Path) -> bool {
 }
 
 fn pictures_in(folder: &Path) -> Vec<PathBuf> {
+    files_in(folder, &PHOTO_ENDINGS)
+}
+
+fn files_in(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let mut found: Vec<PathBuf> = entries
         .flatten()
@@ -67,7 +74,7 @@ fn pictures_in(folder: &Path) -> Vec<PathBuf> {
             let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
             path.is_file()
                 && !hidden
-                && ending.is_some_and(|ending| PHOTO_ENDINGS.contains(&ending.as_str()))
+                && ending.is_some_and(|ending| endings.contains(&ending.as_str()))
         })
         .collect();
     found.sort();
@@ -95,21 +102,26 @@ fn subfolders(folder: &Path, any: bool) -> Vec<PathBuf> {
     found
 }
 
-fn gather(folder: &Path, any: bool, depth: usize, found: &mut Vec<PathBuf>) {
-    found.extend(pictures_in(folder));
-    if depth < DEEPEST {
-        for below in subfolders(folder, any) {
-            gather(&below, any, depth + 1, found);
-        }
+/// The files with these endings in a folder and, down to a depth, in subfolders with names that cameras give, and in `images` in any.
+fn gather(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
+    let any = folder.file_name().is_some_and(|name| name == IMAGES);
+    let (mut found, mut level) = (Vec::new(), vec![folder.to_owned()]);
+    for _ in 0..=DEEPEST {
+        found.extend(level.iter().flat_map(|folder| files_in(folder, endings)));
+        level = level.iter().flat_map(|folder| subfolders(folder, any)).collect();
     }
+    found.sort();
+    found
+}
+
+/// Photos of a flight in formats that are not read.
+pub(super) fn unread_photos(folder: &Path) -> Vec<PathBuf> {
+    gather(folder, &UNREAD_ENDINGS)
 }
 
 /// The photos of a flight in a folder: directly in it, in subfolders with names that cameras give, and in `images` in any.
 pub(super) fn flight_photos(folder: &Path) -> FlightPhotos {
-    let any = folder.file_name().is_some_and(|name| name == IMAGES);
-    let mut all = Vec::new();
-    gather(folder, any, 0, &mut all);
-    all.sort();
+    let all = gather(folder, &PHOTO_ENDINGS);
     let (all, unusable): (Vec<PathBuf>, Vec<PathBuf>) =
         all.into_iter().partition(|path| is_text_below(path, folder));
     let (tiff, colour): (Vec<PathBuf>, Vec<PathBuf>) =
@@ -178,6 +190,8 @@ mod tests {
         let card =
             vec!["DCIM/100MEDIA/DJI_0001.JPG".to_owned(), "DCIM/101MEDIA/DJI_0001.JPG".to_owned()];
         assert_eq!(names(root.path()), (card, Vec::new()));
+        put("images/b/IMG_1.HEIC");
+        assert_eq!(unread_photos(&root.path().join("images")).len(), 1);
         put("images/north/a.jpg");
         put("images/Ko\u{308}ln.jpg");
         let images = root.path().join("images");

@@ -17,12 +17,12 @@ use super::{
     Config, SETTINGS, Stage,
     config::ProjectOptions,
     orthomosaic,
-    photo_folder::{FlightPhotos, IMAGES, flight_photos, photo_name, photos_in},
+    photo_folder::{FlightPhotos, IMAGES, flight_photos, photo_name, photos_in, unread_photos},
     record::{self, Content, Lock, Records, STORE, Store},
 };
 use rowgram_base::{error::Error, options::Choice};
-use rowgram_files::{geotiff::Reading, polygons, rasters::Source};
-use rowgram_optim::output::FileError;
+use rowgram_files::{geotiff::Reading, polygons, rasters::Source, side_files::with_side_files};
+use rowgram_optim::output::{FileError, name_of};
 use std::{
     path::{Path, PathBuf},
     sync::Arc,
@@ -216,10 +216,11 @@ impl Project {
         record::remembered(&self.root, files, &self.store_of_all())
     }
 
-    /// The contents of files.
+    /// The contents of files and of those beside them that are read with them.
     pub(super) fn contents(&self, files: &[PathBuf]) -> Result<Vec<Content>, Error> {
+        let files: Vec<PathBuf> = files.iter().flat_map(|path| with_side_files(path)).collect();
         let all: Result<Vec<Content>, FileError> =
-            self.content_of_each(files)?.into_iter().collect();
+            self.content_of_each(&files)?.into_iter().collect();
         Ok(all?)
     }
 
@@ -256,7 +257,7 @@ impl Project {
     pub fn polygons(&self, named: Option<&PathBuf>, stem: &str) -> Option<PathBuf> {
         match named {
             Some(path) => Some(self.root.join(path)),
-            None => polygons::find(&self.root, stem),
+            None => polygons::find(&self.root, stem, &polygons::ENDINGS).into_iter().next(),
         }
     }
 
@@ -268,6 +269,13 @@ impl Project {
 
     /// Where photos are looked for, for people.
     pub(super) fn photo_place(&self) -> String {
+        let unread = unread_photos(&self.photo_folder());
+        if !unread.is_empty() {
+            let (count, first) = (unread.len(), name_of(&unread[0]));
+            return format!(
+                "in images/ or directly that are read, but {count} files such as {first}: convert them to JPEG or TIFF, and keep their EXIF"
+            );
+        }
         if !self.root.join(IMAGES).is_dir() {
             return "in images/ or directly".to_owned();
         }

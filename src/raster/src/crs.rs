@@ -10,6 +10,7 @@
 //! from the block where there is control, and named.
 
 mod datum;
+mod well_known_text;
 
 pub use datum::{is_global, knows_datum};
 
@@ -116,7 +117,8 @@ impl Crs {
     /// # Errors
     /// A text that cannot be read, or names a projection that is not there.
     pub fn of_well_known_text(text: &str) -> Result<Crs, CrsError> {
-        if let Some(code) = code_of_text(text).or_else(|| code_of_zone(text))
+        let text = well_known_text::in_plan(text);
+        if let Some(code) = well_known_text::code(text).or_else(|| code_of_zone(text))
             && let Ok(known) = Crs::of_code(code)
         {
             return Ok(known);
@@ -232,7 +234,7 @@ impl Crs {
         Crs::of_words(words)?.in_metres()
     }
 
-    /// The system that words name, whatever its unit: `EPSG:32611`, `32611`, a PROJ string, or `WGS84 UTM 11N` or `11T`
+    /// The system that words name, whatever its unit: `EPSG:32611`, `32611`, a PROJ string, well-known text, or `WGS84 UTM 11N` or `11T`
     /// and `WGS84` as in the headers of control point lists.
     ///
     /// # Errors
@@ -245,12 +247,20 @@ impl Crs {
             }
             _ => words,
         };
+        // Of a compound one (`EPSG:32616+5703`) the first is in plan.
+        let code = match code.split_once('+') {
+            Some((plan, height)) if height.trim().parse::<u32>().is_ok() => plan,
+            _ => code,
+        };
         if let Ok(code) = code.trim().parse::<u32>() {
             return Crs::of_code(code);
         }
         let lower = words.to_ascii_lowercase();
         if lower.starts_with("+proj") {
             return Crs::of_definition(words);
+        }
+        if words.contains('[') {
+            return Crs::of_well_known_text(words);
         }
         if let Some(code) = utm_code(words) {
             return Crs::of_code(code);
@@ -337,23 +347,6 @@ impl Crs {
         })?;
         Ok([place.1.to_degrees(), place.0.to_degrees()])
     }
-}
-
-/// The code that well-known text gives itself: the last one, where it stands in no part of the text.
-fn code_of_text(text: &str) -> Option<u32> {
-    let at = text.rfind("AUTHORITY[").max(text.rfind("ID["))?;
-    let depth = text[..at].chars().fold(0, |depth, c| match c {
-        '[' => depth + 1,
-        ']' => depth - 1,
-        _ => depth,
-    });
-    let mut words = text[at..].split(['[', ',', ']']).map(|word| word.trim().trim_matches('"'));
-    let _keyword = words.next();
-    let is_epsg = words.next().is_some_and(|who| who.eq_ignore_ascii_case("EPSG"));
-    if depth != 1 || !is_epsg {
-        return None;
-    }
-    words.next()?.parse().ok()
 }
 
 /// The EPSG code of a text named after a UTM zone and its datum: `PROJCS["WGS_1984_UTM_Zone_16N",...` (Esri), `PROJCS["WGS 84 / UTM zone 16N",...`.
@@ -469,6 +462,10 @@ mod tests {
             assert_eq!(tell(words), (true, true), "{words}");
         }
         let tokyo = "+proj=longlat +ellps=GRS80 +towgs84=-146.414,507.337,680.507 +no_defs";
+        let compound = r#"COMPD_CS["x",PROJCS["y",AUTHORITY["EPSG","32616"]],VERT_CS["z",AUTHORITY["EPSG","5773"]]]"#;
+        for words in ["EPSG:32616+5703", compound] {
+            assert_eq!(Crs::of_words(words).unwrap().epsg(), Some(32616));
+        }
         for words in ["EPSG:4314", tokyo] {
             assert_eq!(tell(words), (true, false), "{words}");
         }

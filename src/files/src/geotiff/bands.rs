@@ -1,6 +1,9 @@
 //! Which samples of a pixel are red, green, blue and alpha: by the names and the colour interpretation of the bands.
 
-use rowgram_raster::spectral::{Band, listed};
+use rowgram_raster::{
+    crs,
+    spectral::{Band, listed},
+};
 use tiff_reader::{ExtraSample, Ifd};
 
 /// `GDAL_METADATA`: names and colour interpretation of bands among others, as XML.
@@ -24,6 +27,8 @@ pub(super) struct Bands {
     pub(super) told_by: ToldBy,
     /// What a sample has to be multiplied with, and what is then added, to be a reflectance, where the file says so.
     pub(super) scales: Option<Vec<[f64; 2]>>,
+    /// Metres of the unit of the samples, where the file says that they are feet.
+    pub(super) unit_m: Option<f64>,
 }
 
 /// What tells which bands are the colours.
@@ -47,6 +52,7 @@ impl Bands {
             is_colour: true,
             told_by: ToldBy::Order,
             scales: None,
+            unit_m: None,
         }
     }
 
@@ -97,7 +103,7 @@ impl Bands {
             (false, _) => Ok([usize::from(alpha == Some(0)); 3]),
             (true, Some(rgb)) => Ok(rgb),
             (true, None) if others => Err(format!(
-                "its bands are {}, expected red, green and blue among them",
+                "its bands are {}, expected red, green and blue among them; say which they are with [project] bands",
                 match is_told {
                     ToldBy::Settings => listed(&roles),
                     _ => names
@@ -122,7 +128,13 @@ impl Bands {
             roles[alpha] = Some(Band::Alpha);
         }
         let scales = scales(items(), samples);
-        Ok(Bands { roles, colours, alpha, is_colour, told_by, scales })
+        let mut units = items().filter(|item| item.1 == "unittype");
+        let unit_m = units.find_map(|(.., text)| match text.to_lowercase().as_str() {
+            "ft" | "foot" | "feet" => Some(crs::FOOT_M),
+            "us-ft" | "ftus" | "us survey foot" | "us_survey_foot" => Some(crs::US_SURVEY_FOOT_M),
+            _ => None,
+        });
+        Ok(Bands { roles, colours, alpha, is_colour, told_by, scales, unit_m })
     }
 }
 
@@ -203,6 +215,11 @@ fn items(xml: &str) -> Vec<(usize, String, String)> {
     xml.split("<Item ").skip(1).filter_map(item).collect()
 }
 
+/// The value that stands for no data by an `.aux.xml` file; that of the first band that has one.
+pub(super) fn nodata_beside(xml: &str) -> Option<String> {
+    items_beside(xml).into_iter().find(|(_, role, _)| role == "nodata").map(|(.., text)| text)
+}
+
 /// The same of an `.aux.xml` file, where bands count from 1.
 fn items_beside(xml: &str) -> Vec<(usize, String, String)> {
     let mut found = Vec::new();
@@ -215,9 +232,14 @@ fn items_beside(xml: &str) -> Vec<(usize, String, String)> {
             ("ColorInterp", "colorinterp"),
             ("Scale", "scale"),
             ("Offset", "offset"),
+            ("NoDataValue", "nodata"),
+            ("UnitType", "unittype"),
         ] {
-            let after = part.split(&format!("<{tag}>")).nth(1);
-            let text = after.and_then(|after| after.split(&format!("</{tag}>")).next());
+            // There may be attributes.
+            let begin = format!("<{tag}");
+            let after = part.split(&begin).skip(1).find(|after| after.starts_with(['>', ' ']));
+            let after = after.and_then(|after| after.split_once('>'));
+            let text = after.and_then(|(_, text)| text.split(&format!("</{tag}>")).next());
             found.extend(text.map(|text| (sample, role.to_owned(), text.trim().to_owned())));
         }
     }
@@ -235,7 +257,11 @@ mod tests {
         assert_eq!(items(xml), [(2, "description".to_owned(), "Red".to_owned())]);
         let xml = "<PAMDataset><PAMRasterBand band=\"3\"><Description>Red</Description></PAMRasterBand></PAMDataset>";
         assert_eq!(items_beside(xml), [(2, "description".to_owned(), "Red".to_owned())]);
+        assert_eq!(nodata_beside(xml), None);
+        let xml = "<PAMRasterBand band=\"1\"><NoDataValue le_hex_equiv=\"00\">-32767</NoDataValue></PAMRasterBand>";
+        assert_eq!(nodata_beside(xml).as_deref(), Some("-32767"));
     }
+
     #[test]
     fn settings_name_all_bands() {
         let order = [Band::Nir, Band::Red, Band::Green, Band::Blue];

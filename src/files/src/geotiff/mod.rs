@@ -21,6 +21,7 @@ mod write;
 
 pub(crate) use directory::geo_keys;
 pub use place::beside;
+pub(crate) use place::side_files;
 pub use read::{Reader, Reading, Spectra};
 pub(crate) use square::Square;
 pub use write::{Colour, Layout, Writer, write};

@@ -1,13 +1,13 @@
 //! Where a raster lies: by the tags of the file, by a world file and a `.prj` file beside it.
 
 use super::{FOOT, METRE, SURVEY_FOOT};
-use crate::{FileError, table::decode};
+use crate::{FileError, side_files::added, table::decode};
 use geotiff_reader::GeoTiffFile;
 use rowgram_raster::{
     crs,
     georeference::{Crs, CrsKind, Georeference},
 };
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use tiff_reader::Ifd;
 
 /// `ProjLinearUnitsGeoKey` and `ProjLinearUnitSizeGeoKey`.
@@ -23,6 +23,9 @@ const TRANSFORMATION: u16 = 34_264;
 
 /// `VerticalUnitsGeoKey`.
 const VERTICAL_UNITS: u16 = 4099;
+
+/// The endings of files with the reference system of a raster.
+const PROJECTIONS: [&str; 2] = ["prj", "PRJ"];
 
 const NOWHERE: Crs = Crs { kind: CrsKind::Unknown, ..Crs::LOCAL };
 
@@ -71,6 +74,27 @@ fn world_endings(path: &Path) -> Vec<String> {
     usual.iter().cloned().chain(usual.iter().map(|ending| ending.to_uppercase())).collect()
 }
 
+/// The files that a raster may have beside it: its place, and of a TIFF its bands and its mask.
+pub(crate) fn side_files(path: &Path) -> Vec<PathBuf> {
+    let places = world_endings(path).into_iter().chain(PROJECTIONS.map(str::to_owned));
+    let mut files: Vec<PathBuf> = places.map(|ending| path.with_extension(ending)).collect();
+    if path.extension().is_some_and(|of| of.to_string_lossy().to_lowercase().starts_with("tif")) {
+        files.extend(metadata_beside(path));
+        files.push(mask_beside(path));
+    }
+    files
+}
+
+/// Where GDAL writes what a TIFF has no tags for.
+pub(super) fn metadata_beside(path: &Path) -> [PathBuf; 2] {
+    [path.with_extension("aux.xml"), added(path, ".aux.xml")]
+}
+
+/// Where GDAL writes the mask of a TIFF that is not in the file.
+pub(super) fn mask_beside(path: &Path) -> PathBuf {
+    added(path, ".msk")
+}
+
 /// By a world file beside a picture, and a `.prj` file where there is one.
 ///
 /// # Errors
@@ -94,7 +118,7 @@ pub fn beside(path: &Path) -> Result<Option<Georeference>, FileError> {
 
 /// The system of a `.prj` file beside a raster.
 fn projection_beside(path: &Path) -> Result<Option<Crs>, FileError> {
-    let named = ["prj", "PRJ"].map(|ending| path.with_extension(ending));
+    let named = PROJECTIONS.map(|ending| path.with_extension(ending));
     let Some(projection) = named.into_iter().find(|path| path.is_file()) else { return Ok(None) };
     match std::fs::read(&projection).map(decode) {
         Err(error) => Err(FileError::read(&projection, error)),
@@ -106,12 +130,13 @@ fn projection_beside(path: &Path) -> Result<Option<Crs>, FileError> {
     }
 }
 
-/// Metres of the unit that the keys of the file give to heights; 1 where they give none.
-pub(super) fn vertical_unit_m(file: &GeoTiffFile) -> f64 {
-    match file.geokeys().get_short(VERTICAL_UNITS) {
-        Some(FOOT) => crs::FOOT_M,
-        Some(SURVEY_FOOT) => crs::US_SURVEY_FOOT_M,
-        _ => 1.0,
+/// Metres of the unit that the keys of the file give to heights.
+pub(super) fn vertical_unit_m(file: &GeoTiffFile) -> Option<f64> {
+    match file.geokeys().get_short(VERTICAL_UNITS)? {
+        FOOT => Some(crs::FOOT_M),
+        SURVEY_FOOT => Some(crs::US_SURVEY_FOOT_M),
+        METRE => Some(1.0),
+        _ => None,
     }
 }
 

@@ -1,11 +1,17 @@
 //! Reading a raster by window.
 
 mod colours;
+mod masks;
 mod spectra;
 
 pub use spectra::Spectra;
 
-use super::{Sample, TILE, bands::Bands, place, square::Square};
+use super::{
+    Sample, TILE,
+    bands::{self, Bands},
+    place,
+    square::Square,
+};
 use crate::memory;
 use geotiff_reader::{Error as GeoError, GeoTiffFile, GeoTiffOpenOptions};
 use image::RgbImage;
@@ -28,10 +34,6 @@ const WHITE_IS_ZERO: u16 = 0;
 const RGB: u16 = 2;
 /// `GDAL_NODATA`, the value of pixels without data as text.
 const NODATA: u16 = 42_113;
-/// `NewSubfileType`, and its bits for a mask and for a picture of lower resolution.
-const SUBFILE: u16 = 254;
-const MASK: u32 = 4;
-const OVERVIEW: u32 = 1;
 /// An open raster.
 ///
 /// Several threads may read from one at the same time. A raster whose pixels are oblong on the ground is read as one with
@@ -53,8 +55,9 @@ pub struct Reader {
     /// The sample value of a reflectance of 1 by the settings, and as it was found.
     given_reflectance: Option<f64>,
     reflectance: OnceLock<f64>,
-    /// Directory of the internal mask: its pixels are 0 where the picture shows nothing.
+    /// Directory of the mask, whose pixels are 0 where the picture shows nothing. Those of a file beside count on after those of the file.
     mask: Option<usize>,
+    mask_beside: Option<TiffFile>,
 }
 
 /// How a raster is read, as far as that is not left to the file.
@@ -116,7 +119,7 @@ impl Reader {
         for ifd in file.tiff().ifds() {
             memory::require(path, "decoding a tile or strip of it", block_bytes(ifd))?;
         }
-        let (georeference, nodata) = match &file {
+        let (georeference, mut nodata) = match &file {
             File::Placed(file) => (place::of_file(file, path)?, file.nodata().map(str::to_owned)),
             File::Plain(file) => {
                 let ifd = file.ifd(directory).ok();
@@ -127,7 +130,30 @@ impl Reader {
         };
         let vertical_m = match &file {
             File::Placed(file) => place::vertical_unit_m(file),
-            File::Plain(_) => 1.0,
+            File::Plain(_) => None,
+        };
+        let size = [layout.width, layout.height];
+        let own_mask = masks::picture_mask(file.tiff(), size, 0);
+        let mask_path = place::mask_beside(path);
+        let mask_beside = match own_mask.is_none() && mask_path.is_file() {
+            true => Some(masks::open(&mask_path, size, options())?),
+            false => None,
+        };
+        let mask = own_mask.or(mask_beside.as_ref().map(|_| file.tiff().ifds().len()));
+        let photometric = photometric.unwrap_or(BLACK_IS_ZERO);
+        let bands = match file.tiff().ifd(directory) {
+            Ok(ifd)
+                if matches!(photometric, BLACK_IS_ZERO | RGB)
+                    || photometric == WHITE_IS_ZERO && layout.samples_per_pixel == 1 =>
+            {
+                let beside = place::metadata_beside(path);
+                let beside = beside.iter().find_map(|path| std::fs::read_to_string(path).ok());
+                let samples = layout.samples_per_pixel;
+                nodata = beside.as_deref().and_then(bands::nodata_beside).or(nodata);
+                Bands::of(ifd, samples, photometric == RGB, beside.as_deref(), &reading.bands)
+                    .map_err(malformed)?
+            }
+            _ => Bands::decoded(),
         };
         let nodata = match nodata {
             None => None,
@@ -135,21 +161,7 @@ impl Reader {
                 malformed(format!("its nodata value is {text:?}, expected a number"))
             })?),
         };
-        let mask = picture_mask(file.tiff(), [layout.width, layout.height], 0);
-        let photometric = photometric.unwrap_or(BLACK_IS_ZERO);
-        let bands = match file.tiff().ifd(directory) {
-            Ok(ifd)
-                if matches!(photometric, BLACK_IS_ZERO | RGB)
-                    || photometric == WHITE_IS_ZERO && layout.samples_per_pixel == 1 =>
-            {
-                let beside = [path.with_extension("aux.xml"), added(path, ".aux.xml")];
-                let beside = beside.iter().find_map(|path| std::fs::read_to_string(path).ok());
-                let samples = layout.samples_per_pixel;
-                Bands::of(ifd, samples, photometric == RGB, beside.as_deref(), &reading.bands)
-                    .map_err(malformed)?
-            }
-            _ => Bands::decoded(),
-        };
+        let unit_m = bands.unit_m;
         let (square, georeference) = Square::of([layout.width, layout.height], georeference)
             .map_err(|why| FileError::malformed(path, None, why))?;
         let path = path.to_owned();
@@ -163,11 +175,12 @@ impl Reader {
             square,
             bands,
             nodata,
-            vertical_m,
+            vertical_m: vertical_m.or(unit_m).unwrap_or(1.0),
             full: OnceLock::new(),
             given_reflectance: reading.full_reflectance,
             reflectance: OnceLock::new(),
             mask,
+            mask_beside,
         })
     }
 
@@ -244,21 +257,28 @@ impl Reader {
         memory::require(&self.path, &what, pixels.saturating_mul(pixel))
     }
 
-    /// The values of the first band of a window as `f32`, whatever they are stored as, heights in metres; NaN where there
-    /// are no data, -9999 among them.
+    /// The values of the first band of a window as `f32`, whatever they are stored as, by the scale and offset of the file, heights in
+    /// metres; NaN where there are no data, -9999 among them.
     ///
     /// # Errors
     /// As [`Reader::read`].
     pub fn read_f32(&self, window: Window) -> Result<Vec<f32>, FileError> {
         // What most programs write for no data, some without saying so.
         const NO_DATA: f32 = -9999.0;
+        let [scale, offset] = self.bands.scales.as_ref().map_or([1.0, 0.0], |scales| scales[0]);
+        let [scale, offset] = [scale, offset].map(|of| of * self.vertical_m);
         let in_metres = |value: f32| match value {
             NO_DATA => f32::NAN,
-            _ if self.vertical_m == 1.0 => value,
-            _ => (f64::from(value) * self.vertical_m) as f32,
+            _ if [scale, offset] == [1.0, 0.0] => value,
+            _ => (f64::from(value) * scale + offset) as f32,
         };
         let all = self.values(self.directory, window)?.into_iter().step_by(self.bands());
-        Ok(all.map(in_metres).collect())
+        let mut all: Vec<f32> = all.map(in_metres).collect();
+        if let Some(mask) = self.mask {
+            let seen = self.window::<u8>(mask, window, false)?;
+            all.iter_mut().zip(seen).filter(|(_, seen)| *seen == 0).for_each(|of| *of.0 = f32::NAN);
+        }
+        Ok(all)
     }
 
     /// All samples of a window as `f32`; NaN where they are the value of no data.
@@ -287,7 +307,11 @@ impl Reader {
         stored: bool,
     ) -> Result<Vec<T>, FileError> {
         self.require(window)?;
-        let tiff = self.file.tiff();
+        let own = self.file.tiff();
+        let (tiff, directory) = match (&self.mask_beside, directory.checked_sub(own.ifds().len())) {
+            (Some(beside), Some(directory)) => (beside, directory),
+            _ => (own, directory),
+        };
         let ifd = tiff.ifd(directory).map_err(|e| self.malformed(format!("damaged TIFF: {e}")))?;
         let size = [ifd.width() as usize, ifd.height() as usize];
         let read = |Window { u, v, width, height }: Window| {
@@ -326,50 +350,6 @@ impl Reader {
     /// As [`Reader::read`], and where it is not known which bands are colours.
     pub fn read_rgb(&self, window: Window) -> Result<RgbImage, FileError> {
         Ok(self.read_rgb_and_gaps(window)?.0)
-    }
-
-    /// Columns and rows of the pictures of lower resolution in the file, the largest first.
-    pub fn overviews(&self) -> Vec<[usize; 2]> {
-        self.overview_directories().into_iter().map(|(_, size)| size).collect()
-    }
-
-    /// As [`Reader::read_rgb_and_gaps`], from the picture of lower resolution that has number `overview` in
-    /// [`Reader::overviews`].
-    ///
-    /// # Errors
-    /// As [`Reader::read_rgb`], and where there is no such picture.
-    pub fn read_overview_rgb_and_gaps(
-        &self,
-        overview: usize,
-        window: Window,
-    ) -> Result<(RgbImage, Option<Vec<bool>>), FileError> {
-        let of = self.overview_directories();
-        let &(directory, size) = of
-            .get(overview)
-            .ok_or_else(|| self.malformed(format!("there is no overview number {overview}")))?;
-        let stored = self.file.tiff().ifds().get(directory);
-        let size = stored.map_or(size, |ifd| [ifd.width() as usize, ifd.height() as usize]);
-        let mask = picture_mask(self.file.tiff(), size, OVERVIEW);
-        self.rgb_and_gaps(directory, mask, window)
-    }
-
-    /// Whether the file says which pixels show nothing: by alpha, a value without data or a mask.
-    pub fn states_gaps(&self) -> bool {
-        self.bands.alpha.is_some() || self.nodata.is_some() || self.mask.is_some()
-    }
-
-    fn overview_directories(&self) -> Vec<(usize, [usize; 2])> {
-        let base = [self.width(), self.height()];
-        let mut found: Vec<_> = (self.file.tiff().ifds().iter().enumerate())
-            .filter(|(_, ifd)| subfile(ifd) & (MASK | OVERVIEW) == OVERVIEW)
-            .map(|(k, ifd)| {
-                (k, self.square.shown_of([ifd.width() as usize, ifd.height() as usize]))
-            })
-            // A file may hold pictures of something else.
-            .filter(|(_, size)| (0..2).all(|axis| size[axis] > 0 && size[axis] < base[axis]))
-            .collect();
-        found.sort_by_key(|&(_, size)| std::cmp::Reverse(size));
-        found
     }
 
     /// As [`Reader::read_rgb`], and which pixels (row by row) have no data; `None` where all have.
@@ -424,25 +404,4 @@ fn block_bytes(ifd: &Ifd) -> u64 {
     };
     let pixel = ifd.raster_layout().map_or(1, |layout| layout.pixel_stride_bytes() as u64);
     width.saturating_mul(height).saturating_mul(pixel)
-}
-
-/// What a directory is: bits [`MASK`] and [`OVERVIEW`].
-fn subfile(ifd: &Ifd) -> u32 {
-    ifd.tag(SUBFILE).and_then(|tag| tag.value.as_u32()).unwrap_or(0)
-}
-
-/// The directory of the mask of a picture of this size, as GDAL writes it beside a picture; `overview` is [`OVERVIEW`] or 0,
-/// as the picture is.
-fn picture_mask(tiff: &TiffFile, size: [usize; 2], overview: u32) -> Option<usize> {
-    tiff.ifds().iter().position(|ifd| {
-        let own = [ifd.width() as usize, ifd.height() as usize];
-        subfile(ifd) & (MASK | OVERVIEW) == MASK | overview && own == size
-    })
-}
-
-/// A path with something behind its name.
-fn added(path: &Path, more: &str) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(more);
-    PathBuf::from(name)
 }

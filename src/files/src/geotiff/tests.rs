@@ -359,3 +359,98 @@ fn the_brighter_of_two_values_is_plant_where_white_is_zero_too() {
         assert_eq!(mask.data, plants, "{photometric}");
     }
 }
+
+/// A TIFF of one strip of rows of these samples, with more tags of text.
+fn strip(
+    path: &Path,
+    size: [u16; 2],
+    [bits, format]: [u16; 2],
+    data: &[u8],
+    texts: &[(u16, &str)],
+) {
+    let bands = data.len() as u16 / (size[0] * size[1] * (bits / 8));
+    let photometric = if bands == 3 { 2 } else { 1 };
+    let end = 10 + 12 * (11 + texts.len()) + 4;
+    let widths = vec![bits; 3].into_iter().flat_map(u16::to_le_bytes).collect::<Vec<_>>();
+    let mut after: Vec<u8> = widths;
+    let samples = end + after.len();
+    after.extend(data);
+    let mut tags = vec![
+        (256, 3, 1, size[0].into()),
+        (257, 3, 1, size[1].into()),
+        (258, 3, u32::from(bands), if bands == 3 { end as u32 } else { bits.into() }),
+        (259, 3, 1, 1),
+        (262, 3, 1, photometric),
+        (273, 4, 1, samples as u32),
+        (277, 3, 1, bands.into()),
+        (278, 3, 1, size[1].into()),
+        (279, 4, 1, data.len() as u32),
+        (284, 3, 1, 1),
+        (339, 3, 1, format.into()),
+    ];
+    for (tag, text) in texts {
+        let text = format!("{text}\0");
+        tags.push((*tag, 2, text.len() as u32, (end + after.len()) as u32));
+        after.extend(text.bytes());
+    }
+    let mut bytes = b"II*\0\x08\0\0\0".to_vec();
+    bytes.extend((tags.len() as u16).to_le_bytes());
+    for (tag, kind, count, value) in tags {
+        bytes.extend([u16::to_le_bytes(tag), u16::to_le_bytes(kind)].concat());
+        bytes.extend([u32::to_le_bytes(count), u32::to_le_bytes(value)].concat());
+    }
+    bytes.extend([0; 4]);
+    bytes.extend(after);
+    std::fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn values_and_gaps_of_files_beside_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("dsm.tif");
+    let values: Vec<u8> =
+        [10_100u16, 5000, 0, 9000].into_iter().flat_map(u16::to_le_bytes).collect();
+    let item = |role: &str, text: &str| format!("<Item sample=\"0\" role=\"{role}\">{text}</Item>");
+    let metadata = item("scale", "0.01") + &item("offset", "100");
+    strip(&path, [4, 1], [16, 1], &values, &[(42_112, &metadata), (42_113, "0.000")]);
+    let read = || Reader::open(&path).unwrap().read_f32(Window::whole(4, 1)).unwrap();
+    let is = |expected: [f32; 4]| {
+        let read = read();
+        let same = |(a, b): (&f32, &f32)| a == b || a.is_nan() && b.is_nan();
+        assert!(read.iter().zip(&expected).all(same), "{read:?}, expected {expected:?}");
+    };
+    is([201.0, 150.0, f32::NAN, 190.0]);
+    // As for GDAL, what stands beside the file goes first.
+    let xml = "<PAMDataset><PAMRasterBand band=\"1\"><NoDataValue>5000</NoDataValue></PAMRasterBand></PAMDataset>";
+    std::fs::write(folder.path().join("dsm.tif.aux.xml"), xml).unwrap();
+    is([201.0, f32::NAN, 100.0, 190.0]);
+    let unit = item("unittype", "ft");
+    strip(&path, [4, 1], [16, 1], &values, &[(42_112, &unit)]);
+    is([3078.48, f32::NAN, 0.0, 2743.2]);
+    strip(&path, [4, 1], [16, 1], &values, &[(42_112, &metadata), (42_113, "0.000")]);
+    strip(&folder.path().join("dsm.tif.msk"), [4, 1], [8, 1], &[0, 255, 255, 255], &[]);
+    is([f32::NAN, f32::NAN, 100.0, 190.0]);
+    let picture = folder.path().join("ortho.tif");
+    strip(&picture, [2, 1], [8, 1], &[9, 8, 7, 6, 5, 4], &[]);
+    strip(&folder.path().join("ortho.tif.msk"), [2, 1], [8, 1], &[255, 0], &[]);
+    let reader = Reader::open(&picture).unwrap();
+    let (rgb, gaps) = reader.read_rgb_and_gaps(Window::whole(2, 1)).unwrap();
+    assert_eq!((rgb.into_raw(), gaps), (vec![9, 8, 7, 0, 0, 0], Some(vec![false, true])));
+    assert!(reader.states_gaps() && reader.overviews().is_empty());
+    strip(&folder.path().join("ortho.tif.msk"), [1, 2], [8, 1], &[255, 0], &[]);
+    let error = Reader::open(&picture).err().unwrap().to_string();
+    assert!(error.contains("ortho.tif.msk") && error.contains("2 x 1"), "{error}");
+}
+
+#[test]
+fn bytes_in_another_type_have_the_colours_of_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("ortho.tif");
+    let bytes = [12u8, 90, 33, 60, 176, 20];
+    let wide: Vec<u8> = bytes.into_iter().flat_map(|x| u16::from(x).to_le_bytes()).collect();
+    for format in [1, 2] {
+        strip(&path, [2, 1], [16, format], &wide, &[]);
+        let rgb = Reader::open(&path).unwrap().read_rgb(Window::whole(2, 1)).unwrap();
+        assert_eq!(rgb.into_raw(), bytes, "{format}");
+    }
+}

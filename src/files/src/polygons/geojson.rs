@@ -1,16 +1,19 @@
 //! GeoJSON: a `FeatureCollection`, or one `Feature`, with `Polygon`s and `MultiPolygon`s.
 
 use super::{Feature, Rings, Shape, systems::Stated};
+use crate::table::read_text;
 use rowgram_optim::output::FileError;
 use serde_json::{Map, Value};
 use std::path::Path;
 
 /// The polygons of a file, and what its coordinates are.
 pub(super) fn read(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
-    let bytes = crate::memory::read_file(path)?;
-    // A byte order mark is what some editors begin a file with.
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
-    let document: Value = serde_json::from_slice(bytes).map_err(|error| {
+    let text = read_text(path)?;
+    let document = serde_json::from_str(&text);
+    // Some programs write NaN, which is no JSON, for a value that is missing.
+    let document =
+        document.or_else(|error| serde_json::from_str(&without_nan(&text)).or(Err(error)));
+    let document: Value = document.map_err(|error| {
         let message = format!(
             "it is no JSON (column {}); expected GeoJSON with Polygon or MultiPolygon features",
             error.column()
@@ -37,14 +40,34 @@ pub(super) fn read(path: &Path) -> Result<(Vec<Feature>, Stated), FileError> {
     Ok((features.collect::<Result<_, _>>()?, stated))
 }
 
-/// The code at the end of a name such as `urn:ogc:def:crs:EPSG::32616`; `CRS84` is longitude and latitude.
+/// JSON with `null` for each `NaN` and infinity outside of texts.
+fn without_nan(text: &str) -> String {
+    let mut is_text = false;
+    let parts = text.split_inclusive('"').map(|part| {
+        let (was_text, slashes) = (is_text, part.trim_end_matches('"'));
+        let escaped = slashes.len() - slashes.trim_end_matches('\\').len();
+        is_text ^= part.ends_with('"') && !(was_text && escaped % 2 == 1);
+        match was_text {
+            true => part.to_owned(),
+            false => ["-Infinity", "Infinity", "-NaN", "NaN", "nan"]
+                .iter()
+                .fold(part.to_owned(), |part, word| part.replace(word, "null")),
+        }
+    });
+    parts.collect()
+}
+
+/// The code at the end of a name such as `urn:ogc:def:crs:EPSG::32616`, of a compound one the first, which is in plan; `CRS84` is
+/// longitude and latitude.
 fn stated(crs: &Value) -> Result<Stated, String> {
     let name = &crs["properties"]["name"];
     if name.is_null() {
         return Ok(Stated::Nothing);
     }
     let text = name.as_str().unwrap_or_default();
-    let last = text.rsplit([':', '/']).next().unwrap_or_default();
+    let mut parts = text.split([',', '&', '+']);
+    let plan = parts.find(|part| part.contains(|c: char| c.is_ascii_digit())).unwrap_or_default();
+    let last = plan.rsplit([':', '/']).next().unwrap_or_default();
     match last.parse() {
         _ if last == "CRS84" => Ok(Stated::Degrees),
         Ok(code) if text.to_uppercase().contains("EPSG") => Ok(Stated::code(code)),

@@ -91,28 +91,27 @@ impl Feature {
 }
 
 /// The endings of files that [`read`] understands, the usual one first.
-pub const ENDINGS: [&str; 3] = ["geojson", "gpkg", "shp"];
+pub const ENDINGS: [&str; 4] = ["geojson", "gpkg", "shp", "json"];
+/// Those of other files of polygons.
+pub const UNREAD_ENDINGS: [&str; 9] =
+    ["kml", "kmz", "gml", "dxf", "fgb", "tab", "mif", "geojsonl", "zip"];
 
-/// The file of polygons named `stem` in a folder, where there is one.
-pub fn find(folder: &Path, stem: &str) -> Option<PathBuf> {
-    let wanted = ENDINGS.map(|ending| format!("{stem}.{ending}"));
-    let mut files: Vec<PathBuf> =
-        std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path()).collect();
+/// The files in a folder that are named `stem` and have one of these endings, in the order of the endings.
+pub fn find(folder: &Path, stem: &str, endings: &[&str]) -> Vec<PathBuf> {
+    let wanted = endings.iter().map(|ending| format!("{stem}.{ending}"));
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     files.sort();
     let is_named = |path: &&PathBuf, name: &String| {
         path.file_name().is_some_and(|of| of.eq_ignore_ascii_case(name.as_str())) && path.is_file()
     };
-    wanted.iter().find_map(|name| files.iter().find(|path| is_named(path, name)).cloned())
+    wanted.filter_map(|name| files.iter().find(|path| is_named(path, &name)).cloned()).collect()
 }
 
-/// All files that a file of polygons consists of, itself first.
-pub fn files(path: &Path) -> Vec<PathBuf> {
-    let mut files = vec![path.to_owned()];
-    if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("shp")) {
-        let beside = ["dbf", "shx", "prj", "qpj", "cpg"];
-        files.extend(beside.iter().filter_map(|ending| shapes::beside(path, ending)));
-    }
-    files
+/// The files beside a shapefile that are there.
+pub(crate) fn shapefile_parts(path: &Path) -> Vec<PathBuf> {
+    let beside = ["dbf", "shx", "prj", "qpj", "cpg"];
+    beside.iter().filter_map(|ending| shapes::beside(path, ending)).collect()
 }
 
 /// Reads the polygons of a file: `.gpkg`, `.shp`, else GeoJSON.

@@ -1,6 +1,7 @@
 //! Which property of polygons is their name.
 
 use super::{Feature, Shape};
+use crate::words::is_none;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -36,14 +37,38 @@ fn text(value: &Value) -> Option<String> {
     }
 }
 
-/// The name of each feature by a property, its number where it has none.
+/// What a feature is called that has no name where others have one: its number may be the name of another plot, or in a field book.
+const UNNAMED: &str = "unnamed";
+
+/// The name of each feature by a property; by its number where no feature has that.
 fn by(features: &[Feature], key: &str) -> Vec<String> {
+    let value = |feature: &Feature| feature.properties.get(key).and_then(text);
+    let is_named = features.iter().any(|feature| value(feature).is_some());
     let name = |(index, feature): (usize, &Feature)| {
-        let value = feature.properties.get(key).and_then(text);
         let id = || feature.id.as_ref().and_then(text);
-        value.or_else(id).unwrap_or_else(|| (index + 1).to_string())
+        let number = match is_named {
+            true => format!("{UNNAMED} {}", index + 1),
+            false => (index + 1).to_string(),
+        };
+        value(feature).or_else(id).unwrap_or(number)
     };
     features.iter().enumerate().map(name).collect()
+}
+
+/// Features with an area that have no name where others have one.
+fn without_name(features: &[Feature], Names { key, texts }: &Names) -> Option<String> {
+    let key = key.as_deref()?;
+    let is_without = |(feature, name): &(&Feature, &String)| {
+        let has_area = matches!(feature.shape, Shape::Polygons(_));
+        has_area
+            && name.starts_with(UNNAMED)
+            && feature.properties.get(key).and_then(text).is_none()
+    };
+    let all = features.iter().zip(texts).filter(is_without);
+    let names: Vec<&str> = all.map(|(_, name)| name.as_str()).collect();
+    (!names.is_empty()).then(|| {
+        format!("polygons have no {key}, so no table of plots can name them: {}", names.join(", "))
+    })
 }
 
 /// The first name that two features with an area have.
@@ -56,6 +81,16 @@ fn repeated<'a>(features: &[Feature], names: &'a [String]) -> Option<&'a str> {
 
 /// The names of features: of the property that is given, else of the first usual one in which all differ.
 pub(super) fn of(
+    features: &[Feature],
+    given: Option<&str>,
+    notes: &mut Vec<String>,
+) -> Result<Names, String> {
+    let names = chosen(features, given, notes)?;
+    notes.extend(without_name(features, &names));
+    Ok(names)
+}
+
+fn chosen(
     features: &[Feature],
     given: Option<&str>,
     notes: &mut Vec<String>,
@@ -143,10 +178,18 @@ pub(super) fn properties(
 ) -> Result<Properties, String> {
     let counted = feature.properties.iter().find(|(key, _)| key.eq_ignore_ascii_case("leaves"));
     let leaves = match counted.map(|(_, value)| value).filter(|value| !value.is_null()) {
+        // A shapefile or a form may have a column of text.
+        Some(Value::String(text)) if is_none(text) => None,
+        Some(value) => {
+            let number = match value {
+                Value::String(text) => text.trim().parse().ok().filter(|x: &f64| x.is_finite()),
+                value => value.as_f64(),
+            };
+            Some(number.ok_or_else(|| {
+                format!("feature {name}: its property leaves is {value}, expected a number")
+            })?)
+        }
         None => None,
-        Some(value) => Some(value.as_f64().ok_or_else(|| {
-            format!("feature {name}: its property leaves is {value}, expected a number")
-        })?),
     };
     let is_own = |other: &str| {
         key == Some(other) || NO_ATTRIBUTES.iter().any(|own| own.eq_ignore_ascii_case(other))

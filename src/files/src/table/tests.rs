@@ -52,6 +52,12 @@ fn a_table_is_the_same_however_it_is_written() {
     }
     assert_eq!(read(&tables[10]).system(), Some("EPSG:32616"));
     assert!(!read(&tables[9]).is_named() && read(&tables[10]).is_named());
+    // A title over the whole; the system as Metashape writes it.
+    assert_eq!(cells(&read(format!("Trial 7 2025;;\n{semicolon}").as_bytes())), expected);
+    let text = format!("# CoordinateSystem: PROJCS[\"x\",AUTHORITY[\"EPSG\",\"32616\"]]\n{comma}");
+    let table = read(text.as_bytes());
+    assert_eq!(table.system(), Some("PROJCS[\"x\",AUTHORITY[\"EPSG\",\"32616\"]]"));
+    assert_eq!(cells(&table), expected);
 }
 
 #[test]
@@ -133,9 +139,12 @@ fn a_table_that_cannot_be_split_and_minutes_are_told() {
     std::fs::write(&path, "label easting\nA,1,2,3\nB,1,2,3\n").unwrap();
     let error = Table::read(&path).unwrap_err().to_string();
     assert!(error.contains("(label easting), this row is 4 (A | 1 | 2 | 3)"), "{error}");
+    std::fs::write(&path, b"PK\x03\x04\x14\0\x06\0").unwrap();
+    assert!(Table::read(&path).unwrap_err().to_string().contains("save it as CSV"));
     for (field, part) in [
         ("40°28'18.7\"\"N", "expected decimal degrees"),
         ("40 28 18.7", "expected decimal degrees"),
+        ("86 deg 59' 31.35\"\" W", "expected decimal degrees"),
         ("north", "expected a finite number"),
     ] {
         let table = read(format!("name,lat,lon,h\na,\"{field}\",1,2\n").as_bytes());

@@ -63,8 +63,9 @@ pub(super) fn unit(title: &str) -> Result<f64, &'static str> {
     }
 }
 
-/// Whether a field looks like degrees with minutes, or with the letter of a side: `40°28'18.7"N`, `40 28 18.7`.
+/// Whether a field looks like degrees with minutes, or with the letter of a side: `40°28'18.7"N`, `40 deg 28' 18.7"`, `40 28 18.7`.
 pub(super) fn has_minutes(field: &str) -> bool {
+    let field = &field.replace("deg", "");
     let is_degrees = |c: char| c.is_ascii_digit() || " .,:-°º'\"′″’”NSEWnsew".contains(c);
     field.starts_with(|c: char| c.is_ascii_digit() || "-NSEW".contains(c))
         && field.chars().all(is_degrees)

@@ -172,7 +172,7 @@ pub fn read_block(file: &Path) -> Result<(PathBuf, AdjustOptions), Error> {
     if !is_description(file) {
         return Ok((file.to_owned(), AdjustOptions::default()));
     }
-    let text = std::fs::read_to_string(file).map_err(|e| FileError::read(file, e))?;
+    let text = rowgram_files::read_text(file)?;
     let at = |span: std::ops::Range<usize>| 1 + text[..span.start].matches('\n').count();
     let entries: BTreeMap<Spanned<String>, Spanned<toml::Value>> = toml::from_str(&text)
         .map_err(|e| FileError::malformed(file, e.span().map(at), e.message()))?;

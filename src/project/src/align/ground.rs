@@ -51,6 +51,10 @@ fn control(
     let photos_deg = photos_deg(photos);
     let ground = if is_table(path) {
         let read = control::read(path, &sources.defaults, photos_deg, sources.crs.is_some())?;
+        if read.ground.is_empty() && sources.marks.is_none() {
+            monitor.diagnostic(&geotags::empty_table(path, "ground points"));
+            return Ok(None);
+        }
         let Some(marks) = &sources.marks else {
             let message =
                 "there is no marks.csv that says where the points are in the photos: not used";

@@ -16,7 +16,6 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
     options::{Auto, Choice},
 };
-use rowgram_files::polygons;
 use rowgram_survey::mapping::{
     canopy_height::CanopyHeight, colour_balance::ColourBalance, select::SelectionOptions,
     undistort::Interpolation,
@@ -138,8 +137,7 @@ impl Task for OrthoTask {
         let mut files = project.reconstruction_files()?;
         files.push(surface_file(project, options)?);
         files.extend(dense_surface(project, options).into_iter().flatten());
-        let plots = options.whole_plots.as_ref().map(|path| project.root().join(path));
-        files.extend(plots.iter().flat_map(|path| polygons::files(path)));
+        files.extend(options.whole_plots.as_ref().map(|path| project.root().join(path)));
         files.extend(project.photos());
         Ok(files)
     }

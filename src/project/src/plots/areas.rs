@@ -39,6 +39,7 @@ pub(super) fn areas(
     } else {
         let (Some(rows), Some(alley_m)) = (options.rows_per_plot, options.alley_m) else {
             refuse_of_plots(options)?;
+            layers::unread_plots(project).iter().for_each(|found| monitor.diagnostic(found));
             return Ok((PlotSource::WholeField, None));
         };
         let Some((plants, row_of)) = &of_rows else {

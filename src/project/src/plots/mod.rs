@@ -25,10 +25,7 @@ use rowgram_base::{
     monitor::{Diagnostic, Monitor},
     options::Auto,
 };
-use rowgram_files::{
-    polygons::{self, Named},
-    rasters,
-};
+use rowgram_files::{polygons::Named, rasters};
 use rowgram_optim::output::{FileError, name_of};
 use rowgram_plants::phenotype::{
     plots::{Area, PlotIndex, SeenField},
@@ -167,9 +164,7 @@ impl Task for Plots {
     fn inputs(project: &Project, options: &PlotsOptions) -> Result<Vec<PathBuf>, Error> {
         let mut files = vec![project.mask()?];
         files.extend(project.orthomosaic().ok());
-        if let Some(path) = project.plots() {
-            files.extend(polygons::files(&path));
-        }
+        files.extend(project.plots());
         files.extend(variable_ids_path(project, options));
         files.extend(options.field_book.as_ref().map(|path| project.root().join(path)));
         files.extend(project.finished(Stage::Segment, leaf_mask::VALID));
@@ -253,8 +248,8 @@ impl Task for Plots {
             _ => None,
         };
         let mut outside = Vec::new();
-        let (mut partly_outside, mut mostly_unseen, mut slivers) =
-            (Vec::new(), Vec::new(), Vec::new());
+        let (mut partly_outside, mut mostly_unseen, mut slivers, mut without_height) =
+            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let index = field.index();
         let plots: Vec<Plot> = areas
             .into_iter()
@@ -273,6 +268,11 @@ impl Task for Plots {
                     })
                     .collect();
                 let (traits, shown) = index.traits(area, seen, colour, canopy, &spectral);
+                let area_m2 = canopy.and_then(|canopy| canopy.area_m2).unwrap_or(0.0);
+                let least_m2 = options.min_valid_share * traits.area_m2.unwrap_or(0.0);
+                if heights.is_some() && shown > 0 && (canopy.is_none() || area_m2 < least_m2) {
+                    without_height.push(name.clone());
+                }
                 let share = traits.valid_share;
                 if shown == 0 && share.is_none() && is_on(&polygon, size) {
                     slivers.push(name);
@@ -303,6 +303,12 @@ impl Task for Plots {
                 &slivers,
                 "hold no middle of a pixel, being narrower than one, and have no traits",
                 Some("draw them as areas; the leftovers of an overlay can go"),
+            ),
+            (
+                "plots-without-heights",
+                &without_height,
+                "have no heights, or only in a small part of them: the surface or the ground below it does not reach so far",
+                None,
             ),
             ("plots-outside", &outside, "lie outside of the orthomosaic and have no traits", None),
             (

@@ -3,6 +3,7 @@
 use super::{RunOptions, check_input, inputs, needs, state};
 use crate::{Project, Stage};
 use rowgram_base::error::Error;
+use rowgram_files::side_files::with_side_files;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -68,9 +69,9 @@ pub(crate) fn workflow(project: &Project) -> Result<Vec<(Stage, Vec<PathBuf>)>, 
     let taken = planned.into_iter().filter(|stage| stage.plan != Plan::LeaveOut);
     taken
         .map(|planned| match inputs(planned.stage, project) {
-            Ok(mut files) => {
-                files.retain(|path| !path.starts_with(project.results()));
-                Ok((planned.stage, files))
+            Ok(files) => {
+                let outside = files.iter().filter(|path| !path.starts_with(project.results()));
+                Ok((planned.stage, outside.flat_map(|path| with_side_files(path)).collect()))
             }
             Err(Error::NothingToDo(_)) => Ok((planned.stage, Vec::new())),
             Err(error) => Err(error),

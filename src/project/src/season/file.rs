@@ -21,6 +21,7 @@ use rowgram_base::{
     error::Error,
     options::{Options, nearest},
 };
+use rowgram_files::read_text;
 use rowgram_optim::output::{self, FileError};
 use rowgram_plants::phenotype::traits::known_traits;
 use serde::{Deserialize, Serialize};
@@ -121,7 +122,7 @@ impl SeasonFile {
     /// # Errors
     /// A file that cannot be read; in which line a key, a date or a folder is not as it has to be, and what was expected.
     pub fn read(path: &Path) -> Result<SeasonFile, Error> {
-        let text = std::fs::read_to_string(path).map_err(|e| FileError::read(path, e))?;
+        let text = read_text(path)?;
         let line_of = |at: usize| text.get(..at).map(|before| before.matches('\n').count() + 1);
         let content: Content = toml::from_str(&text).map_err(|error| {
             let line = error.span().and_then(|span| line_of(span.start));

@@ -13,7 +13,7 @@ use crate::Project;
 use image::RgbImage;
 use rowgram_base::{
     error::Error,
-    monitor::{Counter, Diagnostic, Monitor},
+    monitor::{Collector, Counter, Diagnostic, Monitor},
 };
 use rowgram_files::{cloud::CloudReader, rasters::Source};
 use rowgram_optim::output::{FileError, name_of};
@@ -66,6 +66,7 @@ impl GivenFiles {
         &self,
         options: &SurfaceOptions,
         map: Option<Crs>,
+        monitor: &mut dyn Monitor,
     ) -> Result<Option<Ground>, Error> {
         let is_surface = options.ellipsoidal == super::Ellipsoidal::Dsm;
         let datum = self.geoid.as_deref().map(|path| Datum::read(path, is_surface)).transpose()?;
@@ -78,7 +79,9 @@ impl GivenFiles {
             };
         };
         if !is_cloud(path) {
-            return Ok(Some(Ground::Given { heights: Heights::raster(path)?, datum }));
+            let heights = Heights::raster(path)?;
+            heights.warn(path, monitor);
+            return Ok(Some(Ground::Given { heights, datum }));
         }
         if datum.is_some() {
             return Err(Error::Argument(
@@ -100,7 +103,8 @@ pub(super) fn doctor(
     files: &GivenFiles,
 ) -> Vec<Diagnostic> {
     let Some(dsm) = &files.dsm else { return Vec::new() };
-    let check = || -> Result<(), Error> {
+    let mut found = Collector::default();
+    let mut check = || -> Result<(), Error> {
         let ortho =
             project.given_orthomosaic().map(|path| project.open_picture(&path)).transpose()?;
         let map = ortho.as_ref().and_then(|source| Some((source.georeference()?, source.size())));
@@ -108,15 +112,17 @@ pub(super) fn doctor(
         if is_cloud(dsm) {
             cloud_crs(&CloudReader::open(dsm)?, map.map(|(place, _)| place.crs), dsm)?;
         } else if let Some((place, (width, height))) = map {
-            Heights::raster(dsm)?.require_on(dsm, &place, [width, height])?;
+            let surface = Heights::raster(dsm)?;
+            surface.require_on(dsm, &place, [width, height])?;
+            surface.warn(dsm, &mut found);
         }
         match files.dtm.as_deref().filter(|dtm| is_cloud(dtm)) {
             Some(dtm) => cloud_crs(&CloudReader::open(dtm)?, None, dtm).map(drop)?,
-            None => drop(files.ground(options, None)?),
+            None => drop(files.ground(options, None, &mut found)?),
         }
         Ok(())
     };
-    vec![match check() {
+    let said = match check() {
         Err(error) => Diagnostic::error("surface-unreadable", name_of(dsm), error.to_string()),
         Ok(()) => {
             let ground = match &files.dtm {
@@ -126,7 +132,9 @@ pub(super) fn doctor(
             let message = format!("heights come from it, {ground}");
             Diagnostic::info("surface-given", name_of(dsm), message)
         }
-    }]
+    };
+    found.diagnostics.push(said);
+    found.diagnostics
 }
 
 /// Of cells smaller than this every other one is looked at for the ground, as the coarse pass of matching does, metres.
@@ -164,7 +172,8 @@ pub(super) fn work(
         let message = "the cells are those of the raster that is given; cell_m is for clouds";
         monitor.diagnostic(&Diagnostic::warning("surface-cells", name_of(dsm), message));
     }
-    let ground = match files.ground(options, map)? {
+    surface.warn(dsm, monitor);
+    let ground = match files.ground(options, map, monitor)? {
         Some(ground) => ground,
         None => {
             let of_points = match is_cloud(dsm) {

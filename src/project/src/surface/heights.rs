@@ -1,11 +1,14 @@
 //! Heights on a map that another program or sensor made: a GeoTIFF, or a cloud whose highest points stand for its cells.
 
-use rowgram_base::error::Error;
+use rowgram_base::{
+    error::Error,
+    monitor::{Diagnostic, Monitor},
+};
 use rowgram_files::{cloud::CloudReader, geotiff::Reader, memory};
-use rowgram_optim::output::FileError;
+use rowgram_optim::output::{FileError, name_of};
 use rowgram_raster::{
     georeference::{Crs, CrsKind, Georeference, Transfer},
-    window::Window,
+    window::{self, Window},
 };
 use rowgram_survey::mapping::grid::rounded;
 use std::path::Path;
@@ -17,6 +20,7 @@ pub(super) struct Heights {
     /// Columns and rows.
     pub(super) size: [usize; 2],
     values: Values,
+    screen: Screen,
 }
 
 enum Values {
@@ -58,7 +62,7 @@ impl Heights {
             ));
         }
         let size = [reader.width(), reader.height()];
-        Ok(Heights { place, size, values: Values::File(Box::new(reader)) })
+        Heights::screened(place, size, Values::File(Box::new(reader)))
     }
 
     /// Lays a cloud on cells, of which each takes its highest point; `cell_m` is their side where it is given. `map` is its system where the
@@ -103,7 +107,37 @@ impl Heights {
         })?;
         let corner = [west + 0.5 * cell_m, north - 0.5 * cell_m];
         let place = Georeference::north_up(corner, cell_m, crs);
-        Ok(Heights { place, size, values: Values::Cells(filled(&cells, size)) })
+        Heights::screened(place, size, Values::Cells(filled(&cells, size)))
+    }
+
+    fn screened(
+        place: Georeference,
+        size: [usize; 2],
+        values: Values,
+    ) -> Result<Heights, FileError> {
+        let mut heights = Heights { place, size, values, screen: Screen::default() };
+        let mut counts = Counts::default();
+        for band in window::bands(size[1], BAND, 0) {
+            counts.add(&heights.window(Window::rows(size[0], band.rows))?);
+        }
+        heights.screen = counts.screen();
+        Ok(heights)
+    }
+
+    /// Says which heights were left out.
+    pub(super) fn warn(&self, path: &Path, monitor: &mut dyn Monitor) {
+        let Screen { excluded, excluded_m: [lowest, highest], low_m, high_m, .. } = self.screen;
+        if excluded == 0 {
+            return;
+        }
+        let message = format!(
+            "{excluded} of its cells ({lowest:.0} to {highest:.0} m) are far from all others, which are {low_m:.0} to {high_m:.0} m, and \
+             are left out of heights and volume: heights beyond {GAP_M} m without any cell are no crop or tree, and 0 beyond \
+             {ZERO_GAP_M} m stands for no height (assumed)"
+        );
+        let remedy = "state the value of cells without data in the file (gdal_edit.py -a_nodata)";
+        let found = Diagnostic::warning("heights-implausible", name_of(path), message);
+        monitor.diagnostic(&found.with_remedy(remedy));
     }
 
     /// The heights of a window, row by row, metres; NaN where there are none.
@@ -115,13 +149,15 @@ impl Heights {
             Values::File(reader) => {
                 let mut values = reader.read_f32(window)?;
                 // What stands for no height where a file does not say so.
-                values.iter_mut().filter(|z| z.abs() > HIGHEST_M).for_each(|z| *z = f32::NAN);
+                let is_none = |z: &f32| z.abs() > HIGHEST_M || self.screen.leaves_out(*z);
+                values.iter_mut().filter(|z| is_none(z)).for_each(|z| *z = f32::NAN);
                 Ok(values)
             }
             Values::Cells(cells) => {
                 let rows = (window.v..window.v + window.height)
                     .flat_map(|v| &cells[v * self.size[0] + window.u..][..window.width]);
-                Ok(rows.copied().collect())
+                let kept = |z: &f32| if self.screen.leaves_out(*z) { f32::NAN } else { *z };
+                Ok(rows.map(kept).collect())
             }
         }
     }
@@ -233,6 +269,92 @@ impl Heights {
 /// Heights beyond this are none, metres: the deepest sea and the highest mountain are within it.
 const HIGHEST_M: f32 = 12_000.0;
 
+/// Heights beyond so many metres in which there is no cell are none: no crop or tree is higher than that without cells between, nor is a slope.
+/// Assumed.
+const GAP_M: i32 = 30;
+/// The same of cells of exactly 0, which some programs write for no height.
+const ZERO_GAP_M: i32 = 5;
+/// Rows that are in memory together.
+const BAND: usize = 256;
+
+/// Which heights are left out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Screen {
+    low_m: f32,
+    high_m: f32,
+    without_zero: bool,
+    /// The number of those left out, the lowest and the highest.
+    excluded: u64,
+    excluded_m: [f32; 2],
+}
+
+impl Default for Screen {
+    fn default() -> Screen {
+        let [low_m, high_m] = [f32::NEG_INFINITY, f32::INFINITY];
+        Screen { low_m, high_m, without_zero: false, excluded: 0, excluded_m: [0.0; 2] }
+    }
+}
+
+impl Screen {
+    fn leaves_out(&self, z: f32) -> bool {
+        z < self.low_m || z > self.high_m || self.without_zero && z == 0.0
+    }
+}
+
+/// How many cells have heights of each metre, those of exactly 0 apart.
+struct Counts {
+    /// From -[`HIGHEST_M`] on.
+    by_metre: Vec<u64>,
+    zeros: u64,
+}
+
+impl Default for Counts {
+    fn default() -> Counts {
+        Counts { by_metre: vec![0; 2 * HIGHEST_M as usize + 1], zeros: 0 }
+    }
+}
+
+impl Counts {
+    fn add(&mut self, heights: &[f32]) {
+        for z in heights.iter().filter(|z| z.is_finite()) {
+            match *z == 0.0 {
+                true => self.zeros += 1,
+                false => {
+                    let place = (z + HIGHEST_M) as usize;
+                    self.by_metre[place.min(2 * HIGHEST_M as usize)] += 1;
+                }
+            }
+        }
+    }
+
+    /// Keeps the heights without a gap of which there are most.
+    fn screen(&self) -> Screen {
+        let counts = (-(HIGHEST_M as i32)..).zip(self.by_metre.iter().copied());
+        let metres: Vec<(i32, u64)> = counts.filter(|(_, count)| *count > 0).collect();
+        let cells = |of: &[(i32, u64)]| of.iter().map(|(_, count)| count).sum::<u64>();
+        let groups = metres.chunk_by(|(a, _), (b, _)| b - a <= GAP_M);
+        let Some(kept) = groups.max_by_key(|of| cells(of)) else { return Screen::default() };
+        let (mut first, mut last) = (kept[0].0, kept[kept.len() - 1].0);
+        let near_zero = -1 - ZERO_GAP_M..=ZERO_GAP_M;
+        let without_zero = self.zeros > 0 && !kept.iter().any(|(at, _)| near_zero.contains(at));
+        if self.zeros > 0 && !without_zero {
+            (first, last) = (first.min(0), last.max(0));
+        }
+        let zeros = if without_zero { self.zeros } else { 0 };
+        let others = metres.iter().map(|(at, _)| *at).filter(|at| !(first..=last).contains(at));
+        let others = others.chain(without_zero.then_some(0)).map(|at| at as f32);
+        let lowest = others.clone().reduce(f32::min).unwrap_or(0.0);
+        let highest = others.reduce(f32::max).unwrap_or(0.0);
+        Screen {
+            low_m: first as f32,
+            high_m: (last + 1) as f32,
+            without_zero,
+            excluded: cells(&metres) - cells(kept) + zeros,
+            excluded_m: [lowest, highest],
+        }
+    }
+}
+
 /// The system of a cloud in metres.
 ///
 /// # Errors
@@ -279,4 +401,28 @@ fn filled(cells: &[f32], [width, height]: [usize; 2]) -> Vec<f32> {
 /// As [`Heights::raster`] and [`Heights::cloud`].
 pub(super) fn open(path: &Path, cell_m: Option<f64>, map: Option<Crs>) -> Result<Heights, Error> {
     Ok(if is_cloud(path) { Heights::cloud(path, cell_m, map)? } else { Heights::raster(path)? })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heights_far_from_all_others_are_left_out() {
+        let screen = |heights: &[f32]| {
+            let mut counts = Counts::default();
+            counts.add(heights);
+            counts.screen()
+        };
+        // Missing cells may be more than half.
+        let found = screen(&[0.0, 0.0, 0.0, 0.0, 180.4, f32::NAN, 182.0, 900.0]);
+        assert_eq!((found.excluded, found.excluded_m), (5, [0.0, 900.0]));
+        let is_out = [0.0, 180.4, 182.0, 900.0, -5.0, 180.0].map(|z| found.leaves_out(z));
+        assert_eq!(is_out, [true, false, false, true, true, false]);
+        // Trees, a slope, a field at the sea, heights over the ground.
+        for all in [&[10.0, 35.0, 60.0][..], &[0.0, -0.4, 0.8, 2.5], &[0.0, 4.0], &[0.0, 0.0]] {
+            let found = screen(all);
+            assert_eq!((found.excluded, all.iter().any(|z| found.leaves_out(*z))), (0, false));
+        }
+    }
 }

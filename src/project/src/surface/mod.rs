@@ -214,7 +214,7 @@ impl Task for SurfaceTask {
             );
             monitor.diagnostic(
                 &Diagnostic::warning("surface-datum", subject, message).with_remedy(
-                    "[surface] geoid brings ellipsoidal heights and heights over the sea together",
+                    "[surface] geoid brings ellipsoidal heights and heights over the sea together; heights in feet have to be converted to metres",
                 ),
             );
         }
@@ -243,7 +243,7 @@ fn matched(
     monitor: &mut dyn Monitor,
 ) -> Result<SurfaceOutcome, Error> {
     let scene = Scene::new(project, options)?;
-    let ground = given.ground(options, Some(scene.place.crs))?;
+    let ground = given.ground(options, Some(scene.place.crs), monitor)?;
     let mut store = store::TilesOnDisk::new(project, scene.key);
     let own = scene.with_area(|area| {
         let steps = area.tiles(Pass::Coarse) + area.tiles(Pass::Fine);

@@ -33,7 +33,7 @@ fn refused(error: ConfigError) -> Error {
 /// # Errors
 /// A file that cannot be read, or that is not such a configuration: in which line.
 pub fn read_config<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, FileError> {
-    let text = std::fs::read_to_string(path).map_err(|source| FileError::read(path, source))?;
+    let text = rowgram_files::read_text(path)?;
     toml::from_str(&text).map_err(|error| {
         let before = error.span().and_then(|span| text.get(..span.start));
         let line = before.map(|before| before.matches('\n').count() + 1);

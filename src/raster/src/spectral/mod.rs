@@ -56,7 +56,11 @@ impl Band {
             }
             _ if word.contains("edge") => Band::RedEdge,
             _ if word.contains("infrared") || word.contains("nir") => Band::Nir,
-            _ => return None,
+            // After the name of a camera: `MicaSense blue`.
+            _ => match letters.split_whitespace().rfind(is_said) {
+                Some(last) if last != word && last.len() > 2 => return Band::named(last),
+                _ => return None,
+            },
         })
     }
 }
@@ -78,6 +82,7 @@ mod tests {
     fn names_of_bands_are_understood() {
         for (name, expected) in [
             ("Red", Some(Band::Red)),
+            ("MicaSense blue", Some(Band::Blue)),
             ("Band 1: Blue", Some(Band::Blue)),
             ("green_560", Some(Band::Green)),
             ("Red edge", Some(Band::RedEdge)),

@@ -68,11 +68,11 @@ impl Reader {
             return Ok(full);
         }
         let high = self.brightest(&self.colours()?)?;
-        let is_whole = u16::matches_layout(&self.layout);
+        let is_float = f32::matches_layout(&self.layout) || f64::matches_layout(&self.layout);
         let full = match high {
-            high if is_whole && high >= FULL_RANGE * FULL_16 => FULL_16,
-            // Bytes that a program has written as floating point; reflectances are at most 1 or 100.
-            high if !is_whole && (150.0..=255.0).contains(&high) => 255.0,
+            high if u16::matches_layout(&self.layout) && high >= FULL_RANGE * FULL_16 => FULL_16,
+            // Bytes that a program has written as another type; reflectances are at most 1 or 100.
+            high if high <= 255.0 && (!is_float || high >= 150.0) => 255.0,
             high => high,
         };
         Ok(*self.full.get_or_init(|| full))

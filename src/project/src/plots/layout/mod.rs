@@ -21,7 +21,7 @@ use rowgram_base::{
 };
 use rowgram_files::{
     csv_table::CsvTable,
-    field_design::{FieldMap, Surveyed, read_corners, read_field_map},
+    field_design::{FieldMap, Surveyed, corner_system, read_corners, read_field_map},
     polygons,
 };
 use rowgram_optim::output::{FileError, name_of};
@@ -171,8 +171,8 @@ fn crs_of(request: &LayoutRequest<'_>, path: &Path) -> Result<Crs, Error> {
         crs::Crs::from_words(words).map_err(|why| Error::Argument(format!("--crs {words}: {why}")))
     };
     let of_project = || request.project.and_then(|project| project.config().project.crs.as_deref());
-    let named = match request.crs.or_else(of_project) {
-        Some(words) => Some(of_words(words)?),
+    let named = match request.crs.or_else(of_project).map(str::to_owned).or(corner_system(path)?) {
+        Some(words) => Some(of_words(&words)?),
         None => {
             let in_degrees = read_corners(path)?.into_iter().find_map(|(_, at)| match at {
                 Surveyed::Degrees(at) => Some(at),
@@ -216,19 +216,26 @@ fn from_corners(
     let design = options.design()?;
     let plan = design.plan()?;
     let projection = crs.system();
+    let stated = corner_system(path)?.map(|words| crs::Crs::from_words(&words)).transpose();
+    let stated = stated.map_err(|why| FileError::malformed(path, 1, why.to_string()))?;
+    let refused = |why: crs::CrsError| FileError::malformed(path, None, why.to_string());
     let surveyed: Vec<(FieldCorner, [f64; 2])> = read_corners(path)?
         .into_iter()
         .map(|(corner, at)| {
             let at = match at {
-                Surveyed::Metres(at) => at,
+                Surveyed::Metres(at) => match (&stated, &projection) {
+                    (Some(from), Some(onto)) if from.definition() != onto.definition() => {
+                        let [latitude, longitude] = from.to_wgs84(at[0], at[1]).map_err(refused)?;
+                        onto.from_wgs84(latitude, longitude).map_err(refused)?
+                    }
+                    _ => at,
+                },
                 Surveyed::Degrees([longitude, latitude]) => {
                     let known = projection.as_ref().ok_or_else(|| {
                         let message = "its corners are in degrees, and the map does not say its reference system";
                         FileError::malformed(path, None, message)
                     })?;
-                    known
-                        .from_wgs84(latitude, longitude)
-                        .map_err(|why| FileError::malformed(path, None, why.to_string()))?
+                    known.from_wgs84(latitude, longitude).map_err(refused)?
                 }
             };
             Ok((corner, at.map(|x| x * metres)))
