@@ -392,7 +392,7 @@ fn the_main_job_needs_nothing() {
         assert!(project.join("rowgram/align").join(other).is_file(), "{other}");
     }
     let page = fs::read_to_string(project.join("rowgram/report.html")).unwrap();
-    for text in ["check points", "Correlations", "GCP01", "rowgram ortho", "Match graph"] {
+    for text in ["check points", "Correlations", "GCP01", "rowgram ortho", "pairs that match"] {
         assert!(page.contains(text), "{text}");
     }
     // Every check is in the page as it is in the outcome.

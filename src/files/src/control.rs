@@ -201,9 +201,9 @@ fn points(
             })?,
         };
         match word(enabled).to_ascii_lowercase().as_str() {
-            "" | "1" | "true" | "yes" => {}
-            "0" | "false" | "no" if role == Role::Control => role = Role::Check,
-            "0" | "false" | "no" => {}
+            "" | "1" | "true" | "t" | "yes" | "y" | "on" => {}
+            "0" | "false" | "f" | "no" | "n" | "off" if role == Role::Control => role = Role::Check,
+            "0" | "false" | "f" | "no" | "n" | "off" => {}
             other => {
                 return Err(table.fault(row, format!("enabled is {other:?}, expected 1 or 0")));
             }

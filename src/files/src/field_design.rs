@@ -116,7 +116,7 @@ pub fn read_field_map(path: &Path) -> Result<FieldMap, FileError> {
         );
         return Err(table.whole_fault(message));
     }
-    rows_of(&table, plot, &others)
+    rows_of(&table, plot, &others, |text| Some(plot_name(text)))
 }
 
 /// A field book: what a table says of plots, by the column that has their names.
@@ -129,16 +129,25 @@ pub struct FieldBook {
 }
 
 /// Reads a field book with any titles: the column in which most of the names are found is that of the plots, of several the one that is called so;
-/// 101.0 is 101. Rows of other plots are left out.
+/// 101.0 is 101, and where no plot is called just so, 001 is 1 and p101 is P101. Rows of other plots are left out.
 ///
 /// # Errors
 /// A damaged table, a table without any of the names or with one of them twice, or with two columns of them that differ and are not called plots.
 pub fn read_field_book(path: &Path, names: &[&str]) -> Result<FieldBook, FileError> {
     let table = Table::read(path)?;
     let known: BTreeSet<&str> = names.iter().copied().collect();
+    // By what they are called without zeros in front and in small letters; nothing where two are called so.
+    let mut alike: BTreeMap<String, Option<&str>> = BTreeMap::new();
+    for name in &known {
+        alike.entry(loosely(name)).and_modify(|of| *of = None).or_insert(Some(name));
+    }
+    let own = |text: &str| {
+        let name = plot_name(text);
+        known.get(name).copied().or_else(|| alike.get(&loosely(name)).copied().flatten())
+    };
     let found = |column: Column| {
-        let texts = table.rows().iter().map(|row| plot_name(table.text(row, column)));
-        texts.filter(|text| known.contains(text)).collect::<BTreeSet<_>>().len()
+        let names = table.rows().iter().filter_map(|row| own(table.text(row, column)));
+        names.collect::<BTreeSet<_>>().len()
     };
     let columns: Vec<_> =
         table.columns().map(|(title, column)| (found(column), title, column)).collect();
@@ -167,8 +176,7 @@ pub fn read_field_book(path: &Path, names: &[&str]) -> Result<FieldBook, FileErr
         )));
     }
     let others: Vec<_> = table.columns().filter(|(title, _)| *title != key).collect();
-    let mut map = rows_of(&table, plot, &others)?;
-    map.plots.retain(|name, _| known.contains(name.as_str()));
+    let map = rows_of(&table, plot, &others, own)?;
     Ok(FieldBook { key: key.to_owned(), map })
 }
 
@@ -186,8 +194,20 @@ fn plot_name(text: &str) -> &str {
     }
 }
 
-/// The rows of a table by the names of their plots.
-fn rows_of(table: &Table, plot: Column, others: &[(&str, Column)]) -> Result<FieldMap, FileError> {
+/// A name without zeros in front, where it is a number, and in small letters.
+fn loosely(name: &str) -> String {
+    let is_number = !name.is_empty() && name.bytes().all(|b| b.is_ascii_digit());
+    let name = if is_number { name.trim_start_matches('0') } else { name };
+    name.to_lowercase()
+}
+
+/// The rows of a table by the names of their plots, which are `named` so; rows of none are left out.
+fn rows_of<'a>(
+    table: &'a Table,
+    plot: Column,
+    others: &[(&str, Column)],
+    named: impl Fn(&'a str) -> Option<&'a str>,
+) -> Result<FieldMap, FileError> {
     let titles: Vec<&str> = table.columns().map(|(title, _)| title).collect();
     let is_twice = |(k, title): &(usize, &&str)| {
         !title.is_empty() && titles[..*k].iter().any(|other| other.eq_ignore_ascii_case(title))
@@ -200,7 +220,7 @@ fn rows_of(table: &Table, plot: Column, others: &[(&str, Column)]) -> Result<Fie
         plots: BTreeMap::new(),
     };
     for row in table.rows() {
-        let name = plot_name(table.text(row, plot)).to_owned();
+        let Some(name) = named(table.text(row, plot)).map(str::to_owned) else { continue };
         if name.is_empty() {
             return Err(table.fault(row, "the plot has no number".to_owned()));
         }
@@ -270,6 +290,13 @@ mod tests {
         assert!(error.contains("entry and parcel both have the names"), "{error}");
         let (_folder, path) = file("nr,id,genotype\n1,1,B73\n2,2,Mo17\n");
         assert_eq!(read_field_book(&path, &["1", "2"]).unwrap().key, "nr");
+        // Plots of another trial may be there twice. What two plots are called but for zeros and letters is none of them.
+        let (_folder, path) = file("plot,genotype\n001,B73\nP2,Mo17\np2,W22\n0x,A\n9,B\n9,C\n");
+        let book = read_field_book(&path, &["1", "P2", "p2", "0X"]).unwrap();
+        assert!(book.map.plots.keys().eq(["0X", "1", "P2", "p2"]), "{book:?}");
+        assert_eq!(book.map.plots["1"], [Value::from("B73")]);
+        let book = read_field_book(&path, &["1", "01", "9x"]);
+        assert!(book.unwrap_err().to_string().contains("no column has names"));
     }
 
     #[test]
