@@ -213,7 +213,7 @@ pub(crate) fn georeference(align: &AlignOutcome, limits: &ChecksOptions) -> Diag
     }
 }
 
-/// Whether control points are farther from the block than check points may be, and than they were said to be accurate; and the words for it.
+/// How severe it is that control points are so far from the block, by pixels and by their accuracy, whichever is less severe; what a message says of it.
 fn control_misfit(
     (worst_m, gsd_m): (f64, f64),
     sigma0: f64,

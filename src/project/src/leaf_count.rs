@@ -210,6 +210,7 @@ pub fn count_leaves(
     Ok(LeafCountOutcome { rho_px: calibration.rho, is_orthorectified, counts })
 }
 
+/// What is wrong with a region whose leaves nobody counted.
 pub(super) fn without_leaves(name: &str) -> String {
     format!("region {name} lacks the property leaves, its counted leaves")
 }

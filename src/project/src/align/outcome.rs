@@ -69,7 +69,7 @@ pub struct AlignOutcome {
     pub pairs: usize,
     /// Where the adjustment puts the control points against their coordinates.
     pub control_points: PointErrors,
-    /// How many times larger residuals of their coordinates are than these were said to be accurate; absent where nothing tells.
+    /// Standard deviation of unit weight of the coordinates of control points: how many times larger their residuals are than assumed; absent where nothing is redundant.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub control_sigma0: Option<f64>,
     /// Where the adjustment puts the check points against their coordinates.

@@ -44,8 +44,8 @@ fn middle(tags: &[Geotag]) -> [f64; 2] {
     ]
 }
 
-/// The scale of a block and that of its camera positions differ by less than this share of them: a flight of 20 m, whose positions err by 3 m.
-const SCALE: f64 = 0.15;
+/// The scale of a block and that of its camera positions differ by this share at most: positions of a flight 20 m wide that are off by 3 m. Assumed.
+const MAX_SCALE_ERROR: f64 = 0.15;
 
 /// Whether the cameras of a block are as far apart as their positions say, both in the plan. Control in unnamed feet makes a block too large that looks right in itself.
 pub(super) fn scale_contradiction(cameras: &[[[f64; 2]; 2]]) -> Option<Diagnostic> {
@@ -55,10 +55,11 @@ pub(super) fn scale_contradiction(cameras: &[[[f64; 2]; 2]]) -> Option<Diagnosti
         median(places().map(|at| (at[0] - x).hypot(at[1] - y))).filter(|&spread| spread > 0.0)
     };
     let ratio = spread(0)? / spread(1)?;
-    if cameras.len() < 4 || (1.0 / (1.0 + SCALE)..=1.0 + SCALE).contains(&ratio) {
+    if cameras.len() < 4 || (1.0 / (1.0 + MAX_SCALE_ERROR)..=1.0 + MAX_SCALE_ERROR).contains(&ratio)
+    {
         return None;
     }
-    let is_feet = FEET.iter().any(|foot| (ratio * foot - 1.0).abs() < SCALE);
+    let is_feet = FEET.iter().any(|foot| (ratio * foot - 1.0).abs() < MAX_SCALE_ERROR);
     let feet = if is_feet { ", as if its control were in feet" } else { "" };
     let message =
         format!("the block is {ratio:.2} times as large as the positions of its cameras say{feet}");

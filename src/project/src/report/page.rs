@@ -12,7 +12,7 @@ pub(super) const STYLE: &str = include_str!("style.css");
 /// A section: its mark, its title, what is in it; `None` where there is nothing to tell.
 pub(super) type Section = Option<(&'static str, &'static str, Markup)>;
 
-/// A report that needs no other file. Sections have a mark, a word for the way to them, and a title; `style` is what is added to
+/// A report that needs no other file. Sections have an anchor, a word for the navigation, and a title; `style` is what is added to
 /// [`STYLE`], `footer` says what numbers mean and where they are.
 pub(super) fn report(
     [name, subtitle, style]: [&str; 3],

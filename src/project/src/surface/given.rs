@@ -6,7 +6,7 @@
 use super::{
     SurfaceOptions, SurfaceOutcome,
     ground::{Datum, Fitted, Ground},
-    heights::{self, Heights, cloud_crs, is_cloud},
+    heights::{self, BAND, Heights, cloud_crs, is_cloud},
     write::{self, Found, SurfacePart},
 };
 use crate::Project;
@@ -139,8 +139,6 @@ pub(super) fn doctor(
 
 /// Of cells smaller than this every other one is looked at for the ground, as the coarse pass of matching does, metres.
 const EVERY_OTHER_BELOW_M: f64 = 0.1;
-/// Rows that are in memory together, of the surface.
-const BAND: usize = 256;
 
 /// Does the stage with a surface from elsewhere.
 ///

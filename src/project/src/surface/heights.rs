@@ -269,13 +269,13 @@ impl Heights {
 /// Heights beyond this are none, metres: the deepest sea and the highest mountain are within it.
 const HIGHEST_M: f32 = 12_000.0;
 
-/// Heights beyond so many metres in which there is no cell are none: no crop or tree is higher than that without cells between, nor is a slope.
+/// Heights that are separated from most others by as many metres without any cell are none: crops, trees and slopes have cells at the heights between.
 /// Assumed.
 const GAP_M: i32 = 30;
 /// The same of cells of exactly 0, which some programs write for no height.
 const ZERO_GAP_M: i32 = 5;
-/// Rows that are in memory together.
-const BAND: usize = 256;
+/// Rows of a surface that are in memory together.
+pub(super) const BAND: usize = 256;
 
 /// Which heights are left out.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -165,14 +165,24 @@ pub fn layout(
     Ok(outcome)
 }
 
-/// The system of corners that no project places: the one that is named, the UTM zone of degrees, else metres of one's own.
+/// The system that a table of corners names in its first line.
+fn stated(path: &Path) -> Result<Option<crs::Crs>, FileError> {
+    let system = corner_system(path)?.map(|words| crs::Crs::from_words(&words)).transpose();
+    system.map_err(|why| FileError::malformed(path, 1, why.to_string()))
+}
+
+/// The system of corners that no project places: the one that is named, that of their table, the UTM zone of degrees, else metres of one's own.
 fn crs_of(request: &LayoutRequest<'_>, path: &Path) -> Result<Crs, Error> {
     let of_words = |words: &str| {
         crs::Crs::from_words(words).map_err(|why| Error::Argument(format!("--crs {words}: {why}")))
     };
     let of_project = || request.project.and_then(|project| project.config().project.crs.as_deref());
-    let named = match request.crs.or_else(of_project).map(str::to_owned).or(corner_system(path)?) {
-        Some(words) => Some(of_words(&words)?),
+    let named = match request.crs.or_else(of_project) {
+        Some(words) => Some(of_words(words)?),
+        None => stated(path)?,
+    };
+    let named = match named {
+        Some(system) => Some(system),
         None => {
             let in_degrees = read_corners(path)?.into_iter().find_map(|(_, at)| match at {
                 Surveyed::Degrees(at) => Some(at),
@@ -216,8 +226,7 @@ fn from_corners(
     let design = options.design()?;
     let plan = design.plan()?;
     let projection = crs.system();
-    let stated = corner_system(path)?.map(|words| crs::Crs::from_words(&words)).transpose();
-    let stated = stated.map_err(|why| FileError::malformed(path, 1, why.to_string()))?;
+    let stated = stated(path)?;
     let refused = |why: crs::CrsError| FileError::malformed(path, None, why.to_string());
     let surveyed: Vec<(FieldCorner, [f64; 2])> = read_corners(path)?
         .into_iter()
